@@ -37,7 +37,8 @@ class Group:
 
     `goal_seconds` is what it may take on a quiet machine of two cores; `seconds_max`, and it is ended. `needs` is what
     `preparing.prepare` makes before. Each of the `processes` runs whole files, with servers of its own. `examples` is
-    how many a random test tries, unless the environment says it.
+    how many a random test tries, unless the environment says it. A file with none of the `words` has no test of the
+    group and is not read: each of the processes would take half a minute of a core to read them all.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Group:
     needs: str
     processes: int = 1
     examples: int = ALL_EXAMPLES
+    words: tuple[str, ...] = ()
 
     @property
     def seconds_max(self) -> int:
@@ -55,13 +57,20 @@ class Group:
 GROUPS = (
     Group("check", "", 60, "nothing"),
     Group("fast", FASTEST, 90, "tests", 2, FEW_EXAMPLES),
-    Group("processes", "(processes or toolchain) and not platform and not thorough", 320, "toolchain", 3),
+    Group(
+        "processes",
+        "(processes or toolchain) and not platform and not thorough",
+        320,
+        "toolchain",
+        3,
+        words=("pytest.mark.processes", "pytest.mark.toolchain"),
+    ),
     Group("platform", "platform and not thorough", 620, "images"),
 )
 FAST = GROUPS[1]
 THOROUGH = (
     Group("random", f"random and {FASTEST}", 600, "tests", 2),
-    Group("proofs", "thorough and not platform", 3000, "images", 2),
+    Group("proofs", "thorough and not platform", 3000, "images", 2, words=("pytest.mark.thorough",)),
     Group("clusters", "thorough and platform", 3000, "images"),
 )
 
@@ -87,7 +96,8 @@ def run_pytest(group: Group, places: Sequence[str] = (TESTS,)) -> results.Counts
     with temporary_folder(group) as (folder, environment):
         report = folder / "results"
         command = [sys.executable, "-m", "pytest", "-c", "operator/pyproject.toml", "-m", group.marker]
-        command += ["--durations=10", "-p", "ci.results", "-p", "no:cacheprovider", *spread(group.processes), *places]
+        command += ["--durations=10", "-p", "ci.results", "-p", "no:cacheprovider", *spread(group.processes)]
+        command += [*unread(group, places), *places]
         process = subprocess.Popen(command, cwd=TOP, env={**environment, results.VARIABLE: str(report)})
         code = wait(process, group)
         counts = results.read(report)
@@ -99,6 +109,14 @@ def run_pytest(group: Group, places: Sequence[str] = (TESTS,)) -> results.Counts
         print(f"{group.name}: no test failed, but pytest ended with {code}: counted as one failure", flush=True)
         return results.Counts(counts.passed, 1, counts.skipped)
     return counts
+
+
+def unread(group: Group, places: Sequence[str]) -> list[str]:
+    """Options that leave out the files below some places in which no test of the group can be."""
+    if not group.words:
+        return []
+    files = (file for place in places for file in sorted((TOP / place).rglob("test_*.py")))
+    return [f"--ignore={file}" for file in files if not any(word in file.read_text("utf-8") for word in group.words)]
 
 
 def spread(processes: int) -> list[str]:

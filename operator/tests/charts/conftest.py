@@ -7,7 +7,7 @@ import os
 import shutil
 import subprocess
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ import yaml
 from ci import toolchain
 from gitops.argocd.render import render
 from tests.stages.paths import REPOSITORY
-from tests.stages.programs import program
+from tests.stages.programs import SELDOM_COLLECTING, program
 
 CHARTS = REPOSITORY / "charts"
 PROFILES = Path(__file__).parent / "profiles"
@@ -64,21 +64,22 @@ class Rendered:
 
 @dataclass(frozen=True)
 class Helm:
-    """Runs helm; a profile is a list of values files. Charts of applications that lie in folders are rendered with the
-    images.yaml that packing adds to them: it names ROS_IMAGE."""
+    """Runs helm, once for a chart of the repository and the same values; a profile is a list of values files. Charts of
+    applications that lie in folders are rendered with the images.yaml that packing adds to them: it names ROS_IMAGE."""
 
     binary: str
     folder: Path
+    done: dict[tuple[Any, ...], subprocess.CompletedProcess[str]] = field(default_factory=dict, hash=False)
 
     def run(self, *arguments: str) -> subprocess.CompletedProcess[str]:
-        environment = {**os.environ, "HOME": str(self.folder), "HELM_NAMESPACE": "robotkube"}
+        own = {"HOME": str(self.folder), "HELM_NAMESPACE": "robotkube"}
         return subprocess.run(
             [self.binary, *arguments],
             capture_output=True,
             text=True,
             timeout=HELM_SECONDS_MAX,
             check=False,
-            env=environment,
+            env={**os.environ, **SELDOM_COLLECTING, **own},
         )
 
     def values(self, values: Mapping[str, Any]) -> Path:
@@ -102,6 +103,14 @@ class Helm:
         self, chart: Path, files: tuple[Path, ...], release: str, values: Mapping[str, Any]
     ) -> subprocess.CompletedProcess[str]:
         given = [*files, self.values(values)] if values else list(files)
+        if not chart.is_relative_to(CHARTS):
+            return self._render(chart, tuple(given), release)
+        key = (chart, release, *(path.read_text(encoding="utf-8") for path in given))  # these charts stay as they are
+        if key not in self.done:
+            self.done[key] = self._render(chart, tuple(given), release)
+        return self.done[key]
+
+    def _render(self, chart: Path, given: tuple[Path, ...], release: str) -> subprocess.CompletedProcess[str]:
         options = [option for path in given for option in ("-f", str(path))]
         of_application = chart.is_dir() and chart.parent.name in ("apps", "earlier")
         return self.run("template", release, str(self._with_image(chart) if of_application else chart), *options)

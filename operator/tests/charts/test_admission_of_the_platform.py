@@ -33,7 +33,7 @@ from tests.stages.registry.admission_examples import APPLICATION_CONTROLLER, SUI
 from tests.stages.registry.signed_evidence import artefact, catalogue, published
 from tests.stages.waiting import until
 
-pytestmark = pytest.mark.toolchain
+pytestmark = [pytest.mark.toolchain, pytest.mark.thorough]  # on the platform in every run
 NAMES = (*PLATFORM_IMAGES, "argocd", "redis", "pause")
 LOCK = tuple(Image(name, image(100 + number), Path(name)) for number, name in enumerate(NAMES))
 REFERENCES = {one.name: one.reference for one in LOCK}
@@ -111,7 +111,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Demo]:
         patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
         folders, wanted = ClusterFolders("demo"), topology.read(SCENARIO, {"vehicles": "2"})
         options = admission.prepare(folders, wanted, LOCK)
-        with prepared_cluster(folder, options=options) as cluster, controlling(folder, cluster.kubeconfig):
+        with prepared_cluster(folder, options=options, kinds=()) as cluster, controlling(folder, cluster.kubeconfig):
             nodes = node_processes.nodes_of(wanted.nodes, plan_of(folders.name), folders)
             objects.create(Calls(cluster), nodes)  # type: ignore[arg-type]
             own = admission.folder(folders)

@@ -165,10 +165,7 @@ def cluster(rendered: Rendered, tmp_path_factory: pytest.TempPathFactory) -> Ite
 
 @pytest.fixture(scope="module")
 def api(cluster: Cluster) -> Iterator[Requests]:
-    document = yaml.safe_load(cluster.kubeconfig.read_text())
-    headers = {"Authorization": f"Bearer {document['users'][0]['user']['token']}"}
-    base = document["clusters"][0]["cluster"]["server"]
-    with httpx.Client(base_url=base, headers=headers, verify=False, timeout=30) as client:  # noqa: S501
+    with cluster.client() as client:
         yield Requests(client)
 
 

@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 
 from ci import toolchain
-from ci.installation import Installer
-from gitops.argocd.render import render
-from tests.stages.kubernetes.installed_chart import Cluster, prepared_cluster
-from tests.stages.programs import program
+from gitops.argocd.render import CLIENTS, render
 
 pytestmark = pytest.mark.toolchain
 
@@ -177,29 +171,9 @@ def token_volumes(spec: Object) -> set[str]:
     return {name for name, parts in sources.items() if any("serviceAccountToken" in part for part in parts)}
 
 
-@pytest.fixture(scope="module")
-def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
-    """Argo CD as the installer brings it to a cluster, on an API server without nodes."""
-    folder = tmp_path_factory.mktemp("api")
-    with prepared_cluster(folder) as cluster:
-        Installer(Path(program("kubectl")).parent, cluster.kubeconfig, folder).argocd(IMAGES)
-        yield cluster
-
-
-def test_its_namespace_takes_restricted_pods_only_and_its_own_are(installed: Cluster, argocd: list[Object]) -> None:
-    def created(name: str, spec: Object) -> str:
-        """What the API server says to this pod."""
-        text = json.dumps({"apiVersion": "v1", "kind": "Pod", "metadata": {"name": name}, "spec": spec})
-        create = ("create", "-n", "argocd", "--dry-run=server", "-f", "-")
-        done = installed.run("kubectl", *create, text=text)
-        return done.stdout.strip() or done.stderr
-
-    workloads = [o["metadata"]["name"] for o in argocd if o["kind"] in {"Deployment", "StatefulSet"}]
-    assert len(workloads) == 5
-    for name in workloads:
-        assert created(name, pod(argocd, name)) == f"pod/{name} created (server dry run)"
-    redis = pod(argocd, "argocd-redis")
-    assert 'violates PodSecurity "restricted:latest"' in created("as-root", {**redis, "securityContext": {}})
+def test_brings_nothing_that_the_installer_makes_once(argocd: list[Object]) -> None:
+    """So installing again leaves it: charts/test_argocd_processes.py."""
+    assert [o for o in argocd if o["metadata"]["name"] == CLIENTS] == []
 
 
 def test_refuses_a_missing_image() -> None:

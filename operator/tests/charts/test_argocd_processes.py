@@ -28,7 +28,7 @@ from tests.stages.attacks import shown
 from tests.stages.kubernetes.argocd_processes import NAMESPACE, generating, rendering, serving
 from tests.stages.kubernetes.installed_chart import Cluster, prepared_cluster
 from tests.stages.programs import program
-from tests.stages.registry.admission_examples import ALLOWED, CHART, DOMAIN, OF_THE_PLATFORM, digest
+from tests.stages.registry.admission_examples import ALLOWED, CHART, DOMAIN, OF_THE_PLATFORM, REPLICA_SETS, digest
 from tests.stages.waiting import until
 
 pytestmark = [pytest.mark.toolchain, pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")]
@@ -83,9 +83,28 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def installed(folder: Path) -> Iterator[Cluster]:
     """Argo CD's objects on an API server without nodes, under admission."""
-    with prepared_cluster(folder, for_files(DOMAIN, ALLOWED)) as cluster:
+    with prepared_cluster(folder, for_files(DOMAIN, ALLOWED), kinds=()) as cluster:
         Installer(Path(program("kubectl")).parent, cluster.kubeconfig, folder).argocd(IMAGES)
         yield cluster
+
+
+def test_its_namespace_takes_restricted_pods_only_and_its_own_are(installed: Cluster) -> None:
+    """Asked for as by controllers, whom admission lets make pods of these images."""
+
+    def created(name: str, spec: dict[str, Any]) -> str:
+        """What the API server says to this pod."""
+        text = json.dumps({"apiVersion": "v1", "kind": "Pod", "metadata": {"name": name}, "spec": spec})
+        create = ("create", "-n", NAMESPACE, "--dry-run=server", "--as", REPLICA_SETS, "-f", "-")
+        done = installed.run("kubectl", *create, text=text)
+        return done.stdout.strip() or done.stderr
+
+    listed = json.loads(installed.kubectl("get", "deployments,statefulsets", "-n", NAMESPACE, "-o", "json"))["items"]
+    pods = {one["metadata"]["name"]: one["spec"]["template"]["spec"] for one in listed}
+    assert len(pods) == 5
+    for name, spec in pods.items():
+        assert created(name, spec) == f"pod/{name} created (server dry run)"
+    as_root = {**pods["argocd-redis"], "securityContext": {}}
+    assert 'violates PodSecurity "restricted:latest"' in created("as-root", as_root)
 
 
 @pytest.fixture(scope="module")
@@ -229,6 +248,6 @@ def greeting(port: int, context: ssl.SSLContext) -> str:
 
 
 def test_installing_again_keeps_the_certificate(installed: Cluster, folder: Path, certificate: Path) -> None:
-    Installer(Path(program("kubectl")).parent, installed.kubeconfig, folder).argocd(IMAGES)
+    Installer(Path(program("kubectl")).parent, installed.kubeconfig, folder).repo_server_clients()
     secret = json.loads(installed.kubectl("get", "secret", "argocd-repo-server-mtls", "-n", NAMESPACE, "-o", "json"))
     assert base64.b64decode(secret["data"]["client.crt"]) == (certificate / "client.crt").read_bytes()

@@ -161,17 +161,32 @@ ACCOUNTS = [
 ]
 
 
-@pytest.mark.parametrize("verb", ["get", "list", "watch"])
-@pytest.mark.parametrize("account", ACCOUNTS)
-def test_nobody_may_read_the_key_of_the_gate(installed: Cluster, account: str, verb: str) -> None:
-    question = (verb, "secrets/gate-key", "-n", "robotkube-gate", f"--as=system:serviceaccount:{account}")
-    assert installed.run("kubectl", "auth", "can-i", *question).stdout.strip() == "no"
+def test_nobody_may_read_the_key_of_the_gate_after_an_upgrade(installed: Cluster) -> None:
+    """All accounts of an installation, and every verb: charts/test_rights.py."""
+    key = {"namespace": "robotkube-gate", "resource": "secrets", "name": "gate-key"}
+
+    def review(account: str, verb: str) -> dict[str, Any]:
+        groups = ["serviceaccounts", f"serviceaccounts:{account.partition(':')[0]}", "authenticated"]
+        who = {"user": f"system:serviceaccount:{account}", "groups": [f"system:{name}" for name in groups]}
+        spec = {**who, "resourceAttributes": {**key, "verb": verb}}
+        return {"apiVersion": "authorization.k8s.io/v1", "kind": "SubjectAccessReview", "spec": spec}
+
+    reviews = [review(account, verb) for account in ACCOUNTS for verb in ("get", "list", "watch")]
+    asked = {"apiVersion": "v1", "kind": "List", "items": reviews}
+    allowed = ("create", "--validate=false", "-o", r"jsonpath={.status.allowed}{'\n'}", "-f", "-")
+    assert installed.kubectl(*allowed, text=json.dumps(asked)).split() == ["false"] * len(reviews)
 
 
-def test_an_upgrade_keeps_every_password_and_task(installed: Cluster, values: Path) -> None:
+def test_an_upgrade_keeps_every_password_and_task_and_upgrades_their_definition(
+    installed: Cluster, values: Path
+) -> None:
     before = installed.helm("get", "manifest", "robotkube")
     password = installed.password("cloud-0", "database-account")
+    patch = '{"metadata":{"labels":{"app.kubernetes.io/version":"0.0.1"}},"spec":{"names":{"shortNames":["old"]}}}'
+    name = "crd/taskdescriptions.robotkube.io"
+    installed.kubectl("patch", name, "--type=merge", "-p", patch)
     installed.helm("upgrade", "robotkube", str(CHART), "-f", str(values), "--no-hooks")
+    assert installed.kubectl("get", name, "-o", "jsonpath={.spec.names.shortNames[0]}") == "task"
     assert installed.helm("get", "manifest", "robotkube") == before
     assert installed.password("cloud-0", "database-account") == password
     assert installed.kubectl("get", "tasks", "-n", "cloud-0", "-o", "name").split() == [
@@ -186,14 +201,6 @@ def test_another_seed_is_refused_while_the_old_one_is_kept(installed: Cluster, v
     )
     assert done.returncode != 0
     assert "secrets.seed differs from the one kept in the Secret robotkube-seed" in done.stderr
-
-
-def test_an_upgrade_upgrades_the_definition_of_tasks(installed: Cluster, values: Path) -> None:
-    patch = '{"metadata":{"labels":{"app.kubernetes.io/version":"0.0.1"}},"spec":{"names":{"shortNames":["old"]}}}'
-    name = "crd/taskdescriptions.robotkube.io"
-    installed.kubectl("patch", name, "--type=merge", "-p", patch)
-    installed.helm("upgrade", "robotkube", str(CHART), "-f", str(values), "--no-hooks")
-    assert installed.kubectl("get", name, "-o", "jsonpath={.spec.names.shortNames[0]}") == "task"
 
 
 def test_uninstall_keeps_what_it_says_and_installing_again_uses_it(installed: Cluster, values: Path) -> None:

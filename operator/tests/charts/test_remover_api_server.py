@@ -68,6 +68,7 @@ class Stage:
     """The installed platform, and calls by the administrator, by the remover, and by accounts that are impersonated."""
 
     cluster: Cluster
+    calls: httpx.Client
     administrator: ApiServer
     remover: ApiServer
     policy: RemovalPolicy
@@ -75,10 +76,9 @@ class Stage:
 
     def made(self, path: str, body: Object, user: str = "") -> Object:
         """An object that is made, as `user`."""
-        as_user = ("--as", user) if user else ()
-        done = self.cluster.run("kubectl", "create", "-o", "json", *as_user, "-f", "-", text=json.dumps(body))
-        assert done.returncode == 0, done.stderr
-        return dict(json.loads(done.stdout))
+        done = self.calls.post(path, json=body, headers={"Impersonate-User": user} if user else {})
+        assert done.is_success, done.text
+        return dict(done.json())
 
     def pod(self, namespace: str = AGENT, owner: str = "") -> Object:
         """A pod that runs there, as its controller makes it."""
@@ -97,13 +97,10 @@ class Stage:
 
     def patched(self, path: str, *steps: Object) -> Object:
         """A Deployment after a change by who may make it."""
-        name = path.rpartition("/")[2]
-        self.cluster.kubectl(
-            "patch", "deployment", name, "-n", AGENT, "--type=json", "-p", json.dumps(steps), "--as", ARGOCD
-        )
-        found = self.administrator.get(path)
-        assert found is not None
-        return found
+        headers = {"Content-Type": JSON_PATCH, "Impersonate-User": ARGOCD}
+        done = self.calls.patch(path, content=json.dumps(steps), headers=headers)
+        assert done.is_success, done.text
+        return dict(done.json())
 
     def named(self, look: Look) -> None:
         """An inspector reports these."""
@@ -145,6 +142,7 @@ def stage(helm: Helm, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stag
             cluster.kubectl("create", "clusterrolebinding", name, "--clusterrole=cluster-admin", f"--user={user}")
         whole = _stage(cluster, server, folder)
         yield whole
+        whole.calls.close()
         whole.administrator.close()
         whole.remover.close()
 
@@ -159,7 +157,7 @@ def _stage(cluster: Cluster, server: str, folder: Path) -> Stage:
     config = json.loads(cluster.kubectl("get", "configmap", "remover", "-o", "json"))["data"]["config.yaml"]
     (folder / "config.yaml").write_text(config)
     settings = read_settings(folder / "config.yaml", read_configuration)
-    whole = Stage(cluster, accounts["administrator"], accounts["remover"], settings.policy)
+    whole = Stage(cluster, cluster.client(), accounts["administrator"], accounts["remover"], settings.policy)
     sidecar = [{"op": "add", "path": "/metadata/annotations", "value": {"mine": "1"}}]
     probe = whole.deployment("probe")
     until(lambda: _refused(whole, f"{DEPLOYMENTS.format(AGENT)}/{probe['metadata']['name']}", sidecar), "admission")

@@ -73,6 +73,18 @@ def test_a_test_of_any_marks_is_in_one_group(marks: tuple[str, ...]) -> None:
     assert len(chosen) == 1
 
 
+@pytest.mark.parametrize("group", [group for group in (*groups.GROUPS, *groups.THOROUGH) if group.words], ids=str)
+def test_only_files_without_a_marker_of_the_group_are_not_read(group: groups.Group, tmp_path: Path) -> None:
+    """Each marker that it wants is one of its words, which stand where a test has the marker."""
+    chosen = Expression.compile(group.marker)
+    wanted = [name for name in MARKS if chosen.evaluate(lambda mark, name=name, **_: mark == name)]
+    assert set(group.words) == {f"pytest.mark.{name}" for name in wanted}
+    for name in ("other", *wanted):
+        (tmp_path / f"test_{name}.py").write_text(f"pytestmark = pytest.mark.{name}\n")
+    assert groups.unread(group, [str(tmp_path)]) == [f"--ignore={tmp_path}/test_other.py"]
+    assert groups.unread(group, [str(tmp_path / "test_other.py")]) == []
+
+
 @pytest.mark.parametrize("mark", ["", *MARKS])
 def test_a_random_test_that_is_fast_is_tried_with_more_examples_too(mark: str) -> None:
     marks = {"random", mark}

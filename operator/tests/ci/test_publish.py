@@ -23,7 +23,7 @@ from robotkube.registry.evidence.core.verification_policy import read_verificati
 from robotkube.registry.publication.loops.submitting import PUBLISHED, UNCHANGED
 from robotkube.registry.suites.core.image_checks import BILL_TYPE
 from tests.stages.forge.installation import Clone, Installation
-from tests.stages.registry.publications import Publishing
+from tests.stages.registry.publications import Publishing, look_often
 from tests.stages.registry.signed_evidence import POLICY_TEXT
 
 pytestmark = pytest.mark.toolchain
@@ -84,6 +84,11 @@ def _catalogue_of_its_own(installation: Installation) -> Iterator[None]:
     tip = clone.tip()
     commit = clone.repository.create_commit(None, who, who, "as before\n", before.id, [tip])
     assert clone.push(str(commit), "refs/heads/main") == ""
+
+
+@pytest.fixture(autouse=True)
+def _prompt(monkeypatch: pytest.MonkeyPatch) -> None:
+    look_often(monkeypatch)
 
 
 @pytest.fixture

@@ -32,13 +32,18 @@ from tests.stages.forge.gate_process import (
 from tests.stages.forge.installation import ApplicationSetController, Installation
 from tests.stages.forge.real_charts import PACKED_IMAGE
 from tests.stages.programs import program
-from tests.stages.registry.publications import Publishing, write_sources
+from tests.stages.registry.publications import Publishing, look_often, write_sources
 from tests.stages.registry.submissions import IMAGE
 from tests.stages.waiting import until
 
 pytestmark = pytest.mark.toolchain
 
 SUITES_TOKEN = "suites token"  # noqa: S105
+
+
+@pytest.fixture(autouse=True)
+def _prompt(monkeypatch: pytest.MonkeyPatch) -> None:
+    look_often(monkeypatch)
 
 
 @pytest.fixture

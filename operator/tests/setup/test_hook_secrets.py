@@ -6,7 +6,6 @@ import base64
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import pytest
 from kubernetes import client, config
@@ -14,7 +13,14 @@ from kubernetes import client, config
 from robotkube.setup.adapters.argocd_configuration import KubernetesArgoCDConfiguration
 from robotkube.setup.loops.bootstrap import ArgoCDSetup, Bootstrap
 from tests.stages.kubernetes.api_server import ApiServerProcess
-from tests.stages.kubernetes.argocd_objects import NAMESPACE, bootstrap_kubeconfig, connect, install_argocd
+from tests.stages.kubernetes.argocd_objects import (
+    NAMESPACE,
+    bootstrap_kubeconfig,
+    connect,
+    define_argocd,
+    make_argocd,
+    remove_argocd,
+)
 
 pytestmark = [pytest.mark.toolchain, pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")]
 
@@ -55,19 +61,30 @@ class ArgoCD:
         return {key: base64.b64decode(value).decode() for key, value in data.items() if key.startswith("webhook.")}
 
 
-@pytest.fixture
-def argocd(tmp_path: Path) -> Iterator[ArgoCD]:
-    server = ApiServerProcess(tmp_path)
+@pytest.fixture(scope="module")
+def connections(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[client.ApiClient, client.ApiClient]]:
+    """To an API server with Argo CD's namespace: the administrator's, and the Job's."""
+    folder = tmp_path_factory.mktemp("api")
+    server = ApiServerProcess(folder)
     try:
         server.start()
-        install_argocd(server)
-        job = config.new_client_from_config(str(bootstrap_kubeconfig(server, tmp_path)))
         everything = connect(server)
-        yield ArgoCD(client.CoreV1Api(everything), KubernetesArgoCDConfiguration(job, NAMESPACE))
+        define_argocd(everything)
+        job = config.new_client_from_config(str(bootstrap_kubeconfig(server, folder)))
+        yield everything, job
         job.close()
         everything.close()
     finally:
         server.stop()
+
+
+@pytest.fixture
+def argocd(connections: tuple[client.ApiClient, client.ApiClient]) -> Iterator[ArgoCD]:
+    """As it comes, for each test."""
+    everything, job = connections
+    make_argocd(everything)
+    yield ArgoCD(client.CoreV1Api(everything), KubernetesArgoCDConfiguration(job, NAMESPACE))
+    remove_argocd(everything)
 
 
 def test_each_hook_has_a_secret_of_its_own_that_stays(argocd: ArgoCD) -> None:

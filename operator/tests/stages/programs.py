@@ -9,6 +9,10 @@ from pathlib import Path
 from benchmarks.pods import free_port as free_port
 from ci import preparing, toolchain
 
+# Of Go: collecting costs a rendering of Helm a fifth, an API server that is told of kinds a third, and what tests start
+# ends before it would be short of memory.
+SELDOM_COLLECTING = {"GOGC": "off", "GOMEMLIMIT": "1GiB"}
+
 
 @functools.cache
 def folder() -> Path:

@@ -243,6 +243,7 @@ def test_rules_stay_while_nobody_follows_and_are_right_when_somebody_does(enforc
     assert not enforced.reach(WEB, FAR)
 
 
+@pytest.mark.thorough
 def test_a_process_that_is_killed_is_started_again(enforced: Enforced) -> None:
     enforced.server.policy("deny")
     until(lambda: not enforced.reach(WEB, STORE), "the policy is at work")

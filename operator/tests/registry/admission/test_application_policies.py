@@ -30,7 +30,7 @@ pytestmark = [pytest.mark.toolchain]  # a server of its own
 
 @pytest.fixture(scope="module")
 def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
-    with judged_api_server(tmp_path_factory.mktemp("api"), for_files(DOMAIN, ALLOWED)) as (api, _):
+    with judged_api_server(tmp_path_factory.mktemp("api"), for_files(DOMAIN, ALLOWED), schemas=True) as (api, _):
         for name in ("vehicle-00", "argocd"):
             api.done("POST", "/api/v1/namespaces", {"metadata": {"name": name}})
         yield api

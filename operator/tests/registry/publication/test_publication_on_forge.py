@@ -26,7 +26,7 @@ from robotkube.registry.suites.core.requests import SuiteProgress
 from tests.stages.attacks import shown
 from tests.stages.forge.catalogue_evidence import OTHER_SEED, gate_key
 from tests.stages.forge.installation import Installation
-from tests.stages.registry.publications import WAIT_SECONDS, Publishing, disconnect
+from tests.stages.registry.publications import WAIT_SECONDS, Publishing, disconnect, look_often
 from tests.stages.registry.signed_evidence import POLICY_TEXT
 from tests.stages.registry.submissions import IMAGE, application, chart
 from tests.stages.waiting import until
@@ -39,6 +39,11 @@ SUITES = tuple(rule.name for rule in read_verification_policy(POLICY_TEXT).suite
 
 class KilledError(BaseException):
     """The process ends here."""
+
+
+@pytest.fixture(autouse=True)
+def _prompt(monkeypatch: pytest.MonkeyPatch) -> None:
+    look_often(monkeypatch)
 
 
 @pytest.fixture

@@ -61,6 +61,7 @@ def test_every_watched_topic_is_recorded(namespace: LocalTestNamespace) -> None:
     assert "set patterns: database out segments_index" in names
 
 
+@pytest.mark.thorough
 def test_a_collection_that_is_not_declared_is_found(namespace: LocalTestNamespace) -> None:
     other = entry()
     del other["spec"]["suites"]["sets"][1:]

@@ -119,6 +119,7 @@ def test_every_pose_arrives_once_also_when_a_topic_is_added_in_mid_run(setting: 
     assert before == [0] * len(setting.pods), "a bridge ended when its settings changed"
 
 
+@pytest.mark.thorough
 def test_every_pose_arrives_once_over_a_restart_of_the_broker(setting: DataPath) -> None:
     def restart() -> None:
         setting.broker.stop()

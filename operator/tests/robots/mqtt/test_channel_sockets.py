@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import select
 import socket
 import threading
 from collections.abc import Iterator
@@ -17,6 +18,8 @@ from tests.stages.waiting import until
 
 SECONDS_MAX = 10.0
 ACCEPTED = b"\x20\x03\x00\x00\x00"  # CONNACK: success, no session, no properties
+MESSAGE = b"\x32\x07\x00\x01a\x00\x07\x00x"  # PUBLISH with QoS 1: topic a, identifier 7, no properties
+ACKNOWLEDGED = b"\x40\x02\x00\x07"  # its PUBACK
 DISCONNECTED = b"\xe0"  # how a DISCONNECT begins
 
 
@@ -118,6 +121,26 @@ def test_what_waits_is_sent_with_the_farewell_and_the_socket_is_closed(server: S
     assert client.socket() is None
     content = everything(connection)
     assert content.index(b"first") < content.index(b"second") < content.rindex(DISCONNECTED)
+
+
+def test_what_was_acknowledged_is_read_by_a_server_that_writes_first(server: Server) -> None:
+    """As a broker does that has more for us when we leave: it would send again what it does not know we have."""
+    channel, connection = connected(server)
+    client = channel._client
+    connection.recv(65536)  # its CONNECT
+    connection.sendall(MESSAGE)
+    until(lambda: channel.turn(0.0) or channel.wants_write, "acknowledged")
+    leaving = threading.Thread(target=channel.close)
+    leaving.start()
+    until(lambda: select.select([connection], [], [], 0)[0], "the farewell is here")
+    for _ in range(3):
+        connection.sendall(MESSAGE)
+    content = b"".join(iter(lambda: connection.recv(65536), b""))
+    assert content.startswith(ACKNOWLEDGED + DISCONNECTED)
+    connection.close()
+    leaving.join(SECONDS_MAX)
+    assert client is not None
+    assert client.socket() is None
 
 
 def test_the_socket_is_closed_although_the_server_reads_nothing(server: Server) -> None:

@@ -13,7 +13,7 @@ import httpx
 
 from ci import toolchain
 from ci.folders import PROJECT
-from tests.stages.programs import free_port, program
+from tests.stages.programs import SELDOM_COLLECTING, free_port, program
 
 START_SECONDS_MAX = 60.0
 STOP_SECONDS_MAX = 10.0
@@ -108,6 +108,7 @@ class ForgeProcess:
             "FORGE_PROGRAM": program("gitea"),
             "FORGE_HOOK": program("forge-hook"),
             "FORGE_CONFIG": str(self.data / "app.ini"),
+            **SELDOM_COLLECTING,
             **self.environment,
         }
 

@@ -10,6 +10,7 @@ from kubernetes import client
 
 from robotkube.errors import UnavailableError
 from robotkube.foundation.kubernetes.adapters.client import call
+from tests.stages.kubernetes import argocd_definitions
 from tests.stages.paths import REPOSITORY
 from tests.stages.waiting import until
 
@@ -18,22 +19,6 @@ TASKS = "/apis/robotkube.io/v1alpha1/namespaces/cloud-0/taskdescriptions"
 LEASES = "/apis/coordination.k8s.io/v1/namespaces/argocd/leases"
 LEASE_LABELS = {"app.kubernetes.io/managed-by": "Helm"}
 ARGOCD = "/apis/argoproj.io/v1alpha1/namespaces/argocd/applications"
-
-
-def applications_definition() -> dict[str, Any]:
-    """Applications without Argo CD's schema: any content."""
-    anything = {"type": "object", "x-kubernetes-preserve-unknown-fields": True}
-    version = {"name": "v1alpha1", "served": True, "storage": True, "schema": {"openAPIV3Schema": anything}}
-    names = {"kind": "Application", "listKind": "ApplicationList", "plural": "applications", "singular": "application"}
-    return {
-        "apiVersion": "apiextensions.k8s.io/v1",
-        "kind": "CustomResourceDefinition",
-        "metadata": {
-            "name": "applications.argoproj.io",
-            "annotations": {"api-approved.kubernetes.io": "unapproved, for a test"},
-        },
-        "spec": {"group": "argoproj.io", "scope": "Namespaced", "names": names, "versions": [version]},
-    }
 
 
 class Api:
@@ -97,7 +82,7 @@ class Api:
 def prepare(api: Api) -> None:
     """Definitions and namespaces; waits until the definitions are served."""
     text = "".join(line for line in DEFINITION.read_text().splitlines(True) if "{{" not in line)
-    for definition in (yaml.safe_load(text), applications_definition()):
+    for definition in (yaml.safe_load(text), argocd_definitions.short("applications")):
         api.post("/apis/apiextensions.k8s.io/v1/customresourcedefinitions", definition)
     for name in ("cloud-0", "argocd", "robotkube"):
         api.post("/api/v1/namespaces", {"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": name}})

@@ -13,9 +13,10 @@ from pathlib import Path
 import httpx
 import yaml
 
-from tests.stages.programs import free_port, program
+from tests.stages.programs import SELDOM_COLLECTING, free_port, program
 
 START_SECONDS_MAX = 60.0
+POLL_SECONDS = 0.1
 
 
 @dataclass
@@ -62,10 +63,16 @@ class ApiServerProcess:
             f"--service-account-signing-key-file={key}", *self.options,
         )  # fmt: skip
         deadline = time.monotonic() + START_SECONDS_MAX
-        while not self._ready():
-            assert self.server.poll() is None, self._log()
-            assert time.monotonic() < deadline, self._log()
-            time.sleep(0.1)
+        with self.client() as client:
+            while not _ready(client):
+                assert self.server.poll() is None, self._log()
+                assert time.monotonic() < deadline, self._log()
+                time.sleep(POLL_SECONDS)
+
+    def client(self) -> httpx.Client:
+        """Requests of the administrator."""
+        headers, base = {"Authorization": f"Bearer {self.token}"}, f"https://127.0.0.1:{self.port}"
+        return httpx.Client(base_url=base, headers=headers, verify=False, timeout=30)  # noqa: S501
 
     def stop_server(self) -> None:
         """Killed: asked to end, it waits for its open watches."""
@@ -87,15 +94,8 @@ class ApiServerProcess:
 
     def _run(self, name: str, *arguments: str) -> subprocess.Popen[bytes]:
         with (self.folder / f"{name}.log").open("ab") as log:
-            variables = {**os.environ, **self.environment}
+            variables = {**os.environ, **SELDOM_COLLECTING, **self.environment}
             return subprocess.Popen([program(name), *arguments], stdout=log, stderr=log, env=variables)
-
-    def _ready(self) -> bool:
-        headers = {"Authorization": f"Bearer {self.token}"}
-        try:
-            return httpx.get(f"https://127.0.0.1:{self.port}/readyz", headers=headers, verify=False).is_success  # noqa: S501
-        except httpx.HTTPError:
-            return False
 
     def _log(self) -> str:
         return (self.folder / "kube-apiserver.log").read_text()[-2000:]
@@ -111,3 +111,10 @@ class ApiServerProcess:
             "current-context": "test",
         }
         self.kubeconfig.write_text(yaml.safe_dump(document))
+
+
+def _ready(client: httpx.Client) -> bool:
+    try:
+        return client.get("/readyz").is_success
+    except httpx.HTTPError:
+        return False

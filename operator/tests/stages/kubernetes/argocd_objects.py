@@ -9,6 +9,7 @@ import yaml
 from kubernetes import client, config
 
 from ci.folders import PROJECT
+from tests.stages.kubernetes import argocd_definitions
 from tests.stages.kubernetes.api_server import ApiServerProcess
 
 SERVED_SECONDS_MAX = 30.0
@@ -24,16 +25,36 @@ def connect(server: ApiServerProcess) -> client.ApiClient:
 def install_argocd(server: ApiServerProcess) -> None:
     """Namespace, the objects that Argo CD's manifests bring, and what argocd-server makes at its start."""
     api = connect(server)
+    define_argocd(api)
+    make_argocd(api)
+
+
+def define_argocd(api: client.ApiClient) -> None:
+    """Namespace, and the kind of projects."""
+    client.CoreV1Api(api).create_namespace({"metadata": {"name": NAMESPACE}})
+    definition = argocd_definitions.short("appprojects")
+    client.ApiextensionsV1Api(api).create_custom_resource_definition(definition)
+
+
+def make_argocd(api: client.ApiClient) -> None:
+    """What stands in the namespace."""
     core = client.CoreV1Api(api)
-    core.create_namespace({"metadata": {"name": NAMESPACE}})
     key = {"server.secretkey": base64.b64encode(b"x" * 32).decode()}
     core.create_namespaced_secret(NAMESPACE, {"metadata": {"name": "argocd-secret"}, "data": key})
     core.create_namespaced_config_map(NAMESPACE, {"metadata": {"name": "argocd-cm"}, "data": {"url": "http://x"}})
     core.create_namespaced_config_map(NAMESPACE, {"metadata": {"name": "argocd-rbac-cm"}})
     for name in ("argocd-server", "argocd-applicationset-controller"):
         client.AppsV1Api(api).create_namespaced_deployment(NAMESPACE, deployment(name))
-    client.ApiextensionsV1Api(api).create_custom_resource_definition(project_definition())
     make_project(client.CustomObjectsApi(api))
+
+
+def remove_argocd(api: client.ApiClient) -> None:
+    """What stands in the namespace, whoever made it."""
+    core, objects = client.CoreV1Api(api), client.CustomObjectsApi(api)
+    objects.delete_collection_namespaced_custom_object("argoproj.io", "v1alpha1", NAMESPACE, "appprojects")
+    client.AppsV1Api(api).delete_collection_namespaced_deployment(NAMESPACE)
+    core.delete_collection_namespaced_secret(NAMESPACE)
+    core.delete_collection_namespaced_config_map(NAMESPACE)
 
 
 def make_project(objects: client.CustomObjectsApi) -> None:
@@ -82,12 +103,3 @@ def deployment(name: str) -> dict[str, Any]:
     labels = {"app": name}
     pod = {"metadata": {"labels": labels}, "spec": {"containers": [{"name": "main", "image": "x:1"}]}}
     return {"metadata": {"name": name}, "spec": {"selector": {"matchLabels": labels}, "template": pod}}
-
-
-def project_definition() -> dict[str, Any]:
-    """AppProject with an open schema: what the project says is Argo CD's business."""
-    schema = {"type": "object", "x-kubernetes-preserve-unknown-fields": True}
-    version = {"name": "v1alpha1", "served": True, "storage": True, "schema": {"openAPIV3Schema": schema}}
-    names = {"kind": "AppProject", "plural": "appprojects", "singular": "appproject"}
-    spec = {"group": "argoproj.io", "scope": "Namespaced", "names": names, "versions": [version]}
-    return {"metadata": {"name": "appprojects.argoproj.io"}, "spec": spec}

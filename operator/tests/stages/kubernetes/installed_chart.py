@@ -6,7 +6,6 @@ import base64
 import json
 import os
 import subprocess
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -14,13 +13,15 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from ci import toolchain
+import httpx
+import yaml
+
 from robotkube.registry.admission.adapters.policy_files import PolicyFiles
 from tests.stages.kubernetes.api_server import ApiServerProcess
+from tests.stages.kubernetes.argocd_definitions import KINDS, define
 from tests.stages.paths import CHARTS
-from tests.stages.programs import program
+from tests.stages.programs import SELDOM_COLLECTING, program
 
-SERVED_SECONDS_MAX = 60.0
 CALL_SECONDS_MAX = 120
 CHART = CHARTS / "robotkube"
 NO_OPTIONS: Mapping[str, str] = MappingProxyType({})
@@ -33,10 +34,16 @@ class Cluster:
     kubeconfig: Path
 
     def run(self, name: str, *arguments: str, text: str | None = None) -> subprocess.CompletedProcess[str]:
-        environment = {**os.environ, "KUBECONFIG": str(self.kubeconfig), "HOME": str(self.kubeconfig.parent)}
+        own = {"KUBECONFIG": str(self.kubeconfig), "HOME": str(self.kubeconfig.parent)}
         command = [program(name), *arguments]
         return subprocess.run(
-            command, input=text, capture_output=True, text=True, timeout=CALL_SECONDS_MAX, check=False, env=environment
+            command,
+            input=text,
+            capture_output=True,
+            text=True,
+            timeout=CALL_SECONDS_MAX,
+            check=False,
+            env={**os.environ, **SELDOM_COLLECTING, **own},
         )
 
     def kubectl(self, *arguments: str, text: str | None = None) -> str:
@@ -45,10 +52,21 @@ class Cluster:
         return done.stdout
 
     def helm(self, *arguments: str) -> str:
-        done = self.run("helm", "-n", "robotkube", *arguments)
+        """What helm says; without asking the API server first whether it checks fields, which it does: it warns of one
+        that it does not know."""
+        options = ("--disable-openapi-validation",) if arguments[0] in ("install", "upgrade") else ()
+        done = self.run("helm", "-n", "robotkube", *arguments, *options)
         assert done.returncode == 0, done.stderr
         assert str(CHART) not in arguments or "unknown field" not in done.stderr, done.stderr
         return done.stdout
+
+    def client(self, account: str = "") -> httpx.Client:
+        """Requests of the administrator, or of a service account `<namespace>:<name>` that it impersonates."""
+        document = yaml.safe_load(self.kubeconfig.read_text())
+        headers = {"Authorization": f"Bearer {document['users'][0]['user']['token']}"}
+        headers |= {"Impersonate-User": f"system:serviceaccount:{account}"} if account else {}
+        base = document["clusters"][0]["cluster"]["server"]
+        return httpx.Client(base_url=base, headers=headers, verify=False, timeout=30)  # noqa: S501
 
     def password(self, namespace: str, name: str) -> str:
         secret = json.loads(self.kubectl("get", "secret", name, "-n", namespace, "-o", "json"))
@@ -57,10 +75,13 @@ class Cluster:
 
 @contextmanager
 def prepared_cluster(
-    folder: Path, policies: Sequence[Mapping[str, Any]] = (), options: Mapping[str, str] = NO_OPTIONS
+    folder: Path,
+    policies: Sequence[Mapping[str, Any]] = (),
+    options: Mapping[str, str] = NO_OPTIONS,
+    kinds: Sequence[str] = tuple(KINDS),
 ) -> Iterator[Cluster]:
-    """An API server on `folder`, with what the platform chart needs; under these admission policies, from files, or
-    with further `options`."""
+    """An API server on `folder`, with what the platform chart needs: its namespaces and these `kinds` of Argo CD, which
+    take any content. Under these admission policies, from files, or with further `options`."""
     if policies:
         files = PolicyFiles(folder / "admission")
         files.write(policies)
@@ -68,22 +89,10 @@ def prepared_cluster(
     server = ApiServerProcess(folder, options=tuple(f"--{name}={value}" for name, value in options.items()))
     try:
         server.start()
-        cluster = Cluster(server.kubeconfig)
-        prepare(cluster)
-        yield cluster
+        with server.client() as client:
+            for namespace in ("robotkube", "argocd"):
+                client.post("/api/v1/namespaces", json={"metadata": {"name": namespace}}).raise_for_status()
+            define(client, kinds)
+        yield Cluster(server.kubeconfig)
     finally:
         server.stop()
-
-
-def prepare(cluster: Cluster) -> None:
-    """What is there before the platform: Argo CD's definitions, and the namespaces."""
-    manifests = toolchain.module_dir("github.com/argoproj/argo-cd/v3") / "manifests" / "crds"
-    names = ("application-crd.yaml", "applicationset-crd.yaml", "appproject-crd.yaml")
-    files = [option for name in names for option in ("-f", str(manifests / name))]
-    for namespace in ("robotkube", "argocd"):
-        cluster.kubectl("create", "namespace", namespace)
-    cluster.kubectl("apply", "--server-side", *files)
-    deadline = time.monotonic() + SERVED_SECONDS_MAX
-    while cluster.run("kubectl", "get", "applications,applicationsets,appprojects").returncode:
-        assert time.monotonic() < deadline, "Argo CD's definitions are not served"
-        time.sleep(0.2)

@@ -11,10 +11,9 @@ from typing import Any
 
 import httpx
 
-from ci import toolchain
 from robotkube.registry.admission.adapters.policy_files import PolicyFiles
 from tests.stages.kubernetes.api_server import ApiServerProcess
-from tests.stages.waiting import until
+from tests.stages.kubernetes.argocd_definitions import define
 
 MERGE, JSON_PATCH = "application/merge-patch+json", "application/json-patch+json"
 RBAC = "/apis/rbac.authorization.k8s.io/v1/clusterrolebindings"
@@ -63,19 +62,24 @@ def judged_api_server(
     documents: Sequence[Mapping[str, Any]] | None,
     environment: Mapping[str, str] = NO_VARIABLES,
     gives_tokens: bool = False,
+    schemas: bool = False,
 ) -> Iterator[tuple[Api, PolicyFiles]]:
     """The API server; every account may do everything, as far as rights go: what is refused, a policy refuses. Without
-    `documents` it reads no files."""
+    `documents` it reads no files; with `schemas` Argo CD's objects are only what they may be."""
     files = PolicyFiles(folder / "admission")
     if documents is not None:
         files.write(documents)
-    with served(folder, files, environment, gives_tokens) as api:
+    with served(folder, files, environment, gives_tokens, schemas) as api:
         yield api, files
 
 
 @contextmanager
 def served(
-    folder: Path, files: PolicyFiles, environment: Mapping[str, str] = NO_VARIABLES, gives_tokens: bool = False
+    folder: Path,
+    files: PolicyFiles,
+    environment: Mapping[str, str] = NO_VARIABLES,
+    gives_tokens: bool = False,
+    schemas: bool = False,
 ) -> Iterator[Api]:
     """The same with these files, where they are there."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -86,12 +90,10 @@ def served(
     server = ApiServerProcess(folder, options=words, environment=environment, gives_tokens=gives_tokens)
     try:
         server.start()
-        headers = {"Authorization": f"Bearer {server.token}"}
-        address = f"https://127.0.0.1:{server.port}"
-        with httpx.Client(base_url=address, headers=headers, verify=False, timeout=30) as client:  # noqa: S501
+        with server.client() as client:
             api = Api(client, server)
             _allow_everything(api)
-            _define_applications(api)
+            define(client, ("applications", "appprojects"), schemas)
             yield api
     finally:
         server.stop()
@@ -101,15 +103,3 @@ def _allow_everything(api: Api) -> None:
     role = {"apiGroup": "rbac.authorization.k8s.io", "kind": "ClusterRole", "name": "cluster-admin"}
     subject = {"apiGroup": "rbac.authorization.k8s.io", "kind": "Group", "name": "system:authenticated"}
     api.done("POST", RBAC, {"metadata": {"name": "everybody"}, "roleRef": role, "subjects": [subject]})
-
-
-def _define_applications(api: Api) -> None:
-    """Argo CD's definitions; the API server takes a moment to serve them."""
-    crds = toolchain.module_dir("github.com/argoproj/argo-cd/v3") / "manifests" / "crds"
-    path = "/apis/apiextensions.k8s.io/v1/customresourcedefinitions"
-    for name in ("application", "appproject"):
-        text = (crds / f"{name}-crd.yaml").read_bytes()
-        answer = api.client.post(path, content=text, headers={"Content-Type": "application/yaml"})
-        assert answer.is_success, answer.text
-    for resource in ("applications", "appprojects"):
-        until(lambda resource=resource: api.client.get(f"/apis/argoproj.io/v1alpha1/{resource}").is_success)

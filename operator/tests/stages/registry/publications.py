@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from robotkube.cli import main as cli
 from robotkube.cli.registry.submit import CATALOGUE, ForgeAccess, submit_sources
 from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter
@@ -17,6 +19,7 @@ from robotkube.foundation.forge.adapters.hosts.gitea import GiteaForge
 from robotkube.foundation.forge.ports.pull_requests import PullRequest
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.publication.adapters.submission_folders import validation_tools
+from robotkube.registry.publication.loops import publication, submitting
 from robotkube.registry.publication.loops.application_verification import ApplicationVerification
 from robotkube.registry.publication.loops.publication import PublicationLoop
 from robotkube.registry.publication.loops.submission_reader import PublicationSettings
@@ -31,6 +34,7 @@ from tests.stages.registry.submissions import IMAGE
 
 WAIT_SECONDS = 60.0
 END_SECONDS_MAX = 20.0
+LOOK_SECONDS = 0.2
 
 
 @dataclass
@@ -81,18 +85,18 @@ class Publishing:
         )
 
     def start(self) -> None:
-        publication, stopping = self.make(), threading.Event()
-        thread = threading.Thread(target=publication.run, args=(stopping,), daemon=True)
+        loop, stopping = self.make(), threading.Event()
+        thread = threading.Thread(target=loop.run, args=(stopping,), daemon=True)
         thread.start()
-        self._running = (publication, thread, stopping)
+        self._running = (loop, thread, stopping)
 
     def stop(self) -> None:
         if self._running is not None:
-            publication, thread, stopping = self._running
-            publication.stop(stopping)
+            loop, thread, stopping = self._running
+            loop.stop(stopping)
             thread.join(END_SECONDS_MAX)
             assert not thread.is_alive()
-            disconnect(publication)
+            disconnect(loop)
             self.registry.disconnect()
             self._running = None
 
@@ -128,9 +132,17 @@ class Publishing:
         return index
 
 
-def disconnect(publication: PublicationLoop) -> None:
+def look_often(patch: pytest.MonkeyPatch) -> None:
+    """Gate and command of this process ask each other at once, as far as nobody tells them: nothing is shown by how
+    long they wait."""
+    patch.setattr(publication, "BUSY_SECONDS", LOOK_SECONDS)
+    patch.setattr(publication, "POLL_SECONDS", 2 * LOOK_SECONDS)
+    patch.setattr(submitting, "POLL_SECONDS", LOOK_SECONDS)
+
+
+def disconnect(loop: PublicationLoop) -> None:
     """Close the connections of a loop that was made here to the forge."""
-    forge = publication._forge
+    forge = loop._forge
     assert isinstance(forge, GiteaForge)
     forge.disconnect()
 

@@ -65,5 +65,5 @@ class MqttChannel(Protocol):
         ...
 
     def close(self) -> None:
-        """Disconnect."""
+        """Disconnect; waits a moment, in milliseconds as a rule, until the broker has read what was sent."""
         ...

@@ -48,9 +48,6 @@ ELSEWHERE = {  # what other processes and tests answer for, by the start of the 
     "delivery.tasks.adapters.kubernetes_tasks.": "delivery/tasks/test_mqtt_gateway_processes.py",
     "delivery.tasks.adapters.paho_gateway.": "delivery/tasks/test_mqtt_gateway.py",
 }
-IN_EVERY_RUN = (  # the one between what the cluster and what Git is told
-    f"kill after {PACKAGE}delivery.manager.adapters.kubernetes_cluster.KubernetesCluster.patch_status",
-)
 STORY_SECONDS_MAX = 60.0
 PRIMITIVES = frozenset({"push", "publish", "ack"})
 METHODS = frozenset({"POST", "PUT", "PATCH", "DELETE"})
@@ -246,9 +243,8 @@ def story(
 POINTS = [f"kill {when} {PACKAGE}{name}" for name in MANAGER for when in ("before", "after")]
 
 
-@pytest.mark.parametrize(
-    "point", [point if point in IN_EVERY_RUN else pytest.param(point, marks=pytest.mark.thorough) for point in POINTS]
-)
+@pytest.mark.thorough
+@pytest.mark.parametrize("point", POINTS)
 def test_killed_at_any_write_nothing_is_lost_and_nothing_done_twice(story: Story, point: str) -> None:
     before = len(story.plans("meeting"))
     story.run(point)

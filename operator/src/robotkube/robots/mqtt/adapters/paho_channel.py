@@ -52,6 +52,8 @@ BACKOFF_SECONDS_MIN, BACKOFF_SECONDS_MAX = 0.2, 1.0
 """The bound of the pause before the next attempt: at first, and at most. A robot on a lossy network is back within the
 second after its broker is, after a third of one on average, and a fleet still spreads over that second."""
 MISC_SECONDS = 1.0
+LEAVE_SECONDS_MAX = 0.5
+"""The bound of a farewell. A broker has read all of it in milliseconds; one that is away does not matter."""
 READS_PER_TURN_MAX = 1000
 RECEIVE_BYTES = 256 * 1024
 RECEIVE_MAXIMUM = 65535  # of a broker that names none (MQTT 5, section 3.2.2.3.3)
@@ -62,6 +64,7 @@ NOT_ALLOWED = frozenset([0x80, 0x83, 0x87])  # unspecified, implementation speci
 QOS = 1
 QOS_BITS = 0x06  # of a PUBLISH: 0 when it is not acknowledged
 PUBLISH, PUBLISH_QOS_1, PUBACK, DISCONNECT = 0x30, 0x32, 0x40, 0xE0
+FAREWELL = bytes((DISCONNECT, 0))  # success: the broker publishes no last will
 PACKET_HEAD_BYTES_MAX = 14  # of a PUBLISH beside topic, properties and payload
 
 _MID = struct.Struct("!H")
@@ -139,8 +142,22 @@ class _Client(mqtt.Client):
         if queue:
             self.loop_write()
 
+    def leave(self) -> None:
+        """Send what is queued and a DISCONNECT, and close the socket when the broker has: it may be about to write, and
+        on a socket that is closed already that fails before it has read our last acknowledgements. Their messages would
+        come again in the next session."""
+        connection: Any = self._sock
+        if connection is not None:
+            self._out_packet.append(_packet(FAREWELL))
+            self.write_all()
+            connection.shutdown(socket.SHUT_WR)
+            end = time.monotonic() + LEAVE_SECONDS_MAX
+            while (left := end - time.monotonic()) > 0 and select.select([connection], [], [], left)[0]:
+                if not connection.recv(RECEIVE_BYTES):
+                    return
+
     def drop(self) -> None:
-        """Close the socket, whatever waits to be sent; paho closes it only after a DISCONNECT that it wrote alone."""
+        """Close the socket, whatever waits to be sent."""
         self._sock_close()
 
     def _handle_buffer(self) -> bool:
@@ -298,8 +315,7 @@ class PahoChannel:
             attempt.abandon()
         if client is not None:
             with contextlib.suppress(OSError, ValueError):
-                client.disconnect()
-                client.write_all()
+                client.leave()
             client.drop()
 
     @property
