@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -28,6 +29,9 @@ TEARDOWN_SECONDS_MAX = 120
 EXAMPLES = "ROBOTKUBE_EXAMPLES"
 MEMORY, MEMORY_BYTES_MIN = Path("/dev/shm"), 4 * 2**30  # noqa: S108 - the folder in it is made by tempfile
 FEW_EXAMPLES, ALL_EXAMPLES = 40, 200
+PLATFORM = f"{TESTS}/platform"
+THOROUGH_WORDS = ("pytest.mark.thorough",)
+SLOWER = r"(?m)^pytestmark = .*\bpytest\.mark\.(processes|toolchain|thorough)\b"
 FASTEST = "not processes and not toolchain and not platform and not thorough"
 
 
@@ -37,8 +41,9 @@ class Group:
 
     `goal_seconds` is what it may take on a quiet machine of two cores; `seconds_max`, and it is ended. `needs` is what
     `preparing.prepare` makes before. Each of the `processes` runs whole files, with servers of its own. `examples` is
-    how many a random test tries, unless the environment says it. A file with none of the `words` has no test of the
-    group and is not read: each of the processes would take half a minute of a core to read them all.
+    how many a random test tries, unless the environment says it. A file in which no test of the group can be is not
+    read, since reading all of them takes half a minute of a core for each of the processes: one without any of the
+    `words`, one with a line that is `spared`, one below PLATFORM unless the group's tests lie there (`on_platform`).
     """
 
     name: str
@@ -48,6 +53,8 @@ class Group:
     processes: int = 1
     examples: int = ALL_EXAMPLES
     words: tuple[str, ...] = ()
+    spared: str = ""
+    on_platform: bool = False
 
     @property
     def seconds_max(self) -> int:
@@ -56,7 +63,7 @@ class Group:
 
 GROUPS = (
     Group("check", "", 60, "nothing"),
-    Group("fast", FASTEST, 90, "tests", 2, FEW_EXAMPLES),
+    Group("fast", FASTEST, 90, "tests", 2, FEW_EXAMPLES, spared=SLOWER),
     Group(
         "processes",
         "(processes or toolchain) and not platform and not thorough",
@@ -65,13 +72,13 @@ GROUPS = (
         3,
         words=("pytest.mark.processes", "pytest.mark.toolchain"),
     ),
-    Group("platform", "platform and not thorough", 620, "images"),
+    Group("platform", "platform and not thorough", 620, "images", on_platform=True),
 )
 FAST = GROUPS[1]
 THOROUGH = (
-    Group("random", f"random and {FASTEST}", 600, "tests", 2),
-    Group("proofs", "thorough and not platform", 3000, "images", 2, words=("pytest.mark.thorough",)),
-    Group("clusters", "thorough and platform", 3000, "images"),
+    Group("random", f"random and {FASTEST}", 600, "tests", 2, spared=SLOWER),
+    Group("proofs", "thorough and not platform", 3000, "images", 2, words=THOROUGH_WORDS),
+    Group("clusters", "thorough and platform", 3000, "images", words=THOROUGH_WORDS, on_platform=True),
 )
 
 
@@ -113,10 +120,17 @@ def run_pytest(group: Group, places: Sequence[str] = (TESTS,)) -> results.Counts
 
 def unread(group: Group, places: Sequence[str]) -> list[str]:
     """Options that leave out the files below some places in which no test of the group can be."""
-    if not group.words:
-        return []
     files = (file for place in places for file in sorted((TOP / place).rglob("test_*.py")))
-    return [f"--ignore={file}" for file in files if not any(word in file.read_text("utf-8") for word in group.words)]
+    return [f"--ignore={file}" for file in files if not can_have_tests(group, file)]
+
+
+def can_have_tests(group: Group, file: Path) -> bool:
+    """Whether a test of the group can be in a file; what is in doubt is read."""
+    if (TOP / PLATFORM in file.parents) != group.on_platform:
+        return False
+    text = file.read_text("utf-8")
+    missing = group.words and not any(word in text for word in group.words)
+    return not (missing or (group.spared and re.search(group.spared, text)))
 
 
 def spread(processes: int) -> list[str]:

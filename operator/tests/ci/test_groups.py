@@ -6,6 +6,7 @@ import itertools
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -73,16 +74,55 @@ def test_a_test_of_any_marks_is_in_one_group(marks: tuple[str, ...]) -> None:
     assert len(chosen) == 1
 
 
-@pytest.mark.parametrize("group", [group for group in (*groups.GROUPS, *groups.THOROUGH) if group.words], ids=str)
-def test_only_files_without_a_marker_of_the_group_are_not_read(group: groups.Group, tmp_path: Path) -> None:
-    """Each marker that it wants is one of its words, which stand where a test has the marker."""
-    chosen = Expression.compile(group.marker)
-    wanted = [name for name in MARKS if chosen.evaluate(lambda mark, name=name, **_: mark == name)]
-    assert set(group.words) == {f"pytest.mark.{name}" for name in wanted}
-    for name in ("other", *wanted):
-        (tmp_path / f"test_{name}.py").write_text(f"pytestmark = pytest.mark.{name}\n")
-    assert groups.unread(group, [str(tmp_path)]) == [f"--ignore={tmp_path}/test_other.py"]
-    assert groups.unread(group, [str(tmp_path / "test_other.py")]) == []
+WRITTEN = ("pytestmark = {}\n", "import pytest\n\npytestmark = [{}]\n", "@{}\ndef test_it() -> None: ...\n")
+
+
+def one_test(top: Path, marks: Sequence[str], written: str) -> Path:
+    """A file whose test has these marks; `platform` is that of its folder."""
+    folder = top / (groups.PLATFORM if "platform" in marks else groups.TESTS) / "subject"
+    folder.mkdir(parents=True)
+    words = [f"pytest.mark.{mark}" for mark in marks if mark != "platform"]
+    joined = ("\n@" if written.startswith("@") else ", ").join(words)
+    (folder / "test_it.py").write_text(written.format(joined) if words else "def test_it() -> None: ...\n")
+    return folder / "test_it.py"
+
+
+@pytest.mark.parametrize("written", WRITTEN, ids=["one", "list", "test"])
+@pytest.mark.parametrize("marks", [c for n in range(5) for c in itertools.combinations(MARKS, n)], ids=" and ".join)
+def test_a_file_is_read_by_the_group_of_its_test(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, marks: tuple[str, ...], written: str
+) -> None:
+    one_test(tmp_path, marks, written)
+    monkeypatch.setattr(groups, "TOP", tmp_path)
+    chosen = {
+        group.name
+        for group in (*groups.GROUPS, *groups.THOROUGH)
+        if group.marker and Expression.compile(group.marker).evaluate(lambda name, **_: name in {*marks, "random"})
+    }
+    unread = {group.name for group in (*groups.GROUPS, *groups.THOROUGH) if groups.unread(group, [groups.TESTS])}
+    assert chosen, "a test of any marks is in a group"
+    assert not chosen & unread
+    assert "platform" in unread or "platform" in marks
+
+
+@pytest.mark.parametrize(
+    ("marks", "read_by"),
+    [
+        ((), {"fast", "random"}),
+        (("processes",), {"processes"}),
+        (("thorough",), {"proofs"}),
+        (("platform",), {"platform"}),
+        (("platform", "thorough"), {"platform", "clusters"}),
+    ],
+)
+def test_what_cannot_have_a_test_of_the_group_is_not_read(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, marks: tuple[str, ...], read_by: set[str]
+) -> None:
+    file = one_test(tmp_path, marks, WRITTEN[0])
+    monkeypatch.setattr(groups, "TOP", tmp_path)
+    every = [group for group in (*groups.GROUPS, *groups.THOROUGH) if group.marker]
+    assert {group.name for group in every if not groups.unread(group, [groups.TESTS])} == read_by
+    assert groups.unread(groups.FAST, [str(file)]) == [], "what is asked for by name is read"
 
 
 @pytest.mark.parametrize("mark", ["", *MARKS])
