@@ -84,9 +84,7 @@ def test_quality_of_service_is_that_of_whoever_publishes(start: Start, tmp_path:
     assert shown["buffer"]["messages"] >= held
     assert shown["incompatible"] == {"count": 1, "policy": "reliability"}, "that of the subscription before"
     until(lambda: detector.topic("/open")["received"] > shown["received"] + 40)
-    shown = detector.topic("/open")
-    assert shown["lost"] == 0, "each publisher numbers its own messages"
-    assert shown["buffer"]["disordered"] == 0, "two subscriptions side by side change no order"
+    assert detector.topic("/open")["lost"] == 0, "each publisher numbers its own messages"
 
     weak = start(*QUALITY_PUBLISHER, "/strict", "{}")
     until(lambda: detector.topic("/strict")["problem"].startswith("/publisher_"))
