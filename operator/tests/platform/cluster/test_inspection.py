@@ -22,7 +22,7 @@ from robotkube.registry.admission.core.domain import account
 from tests.stages.platform.running_platform import Platform, eventually
 from tests.stages.platform.runtime_calls import PodSandbox, remove_container, start_container
 
-AGENT, RELEASE = "vehicle-02", "mqtt-bridge"
+AGENT, OTHER_AGENT, RELEASE = "vehicle-02", "vehicle-01", "mqtt-bridge"
 KUBELET, RELEASES = f"kubelet.{AGENT}", "releases"
 NAMED_SECONDS_MAX = 15
 GONE_SECONDS_MAX = 30  # a Deployment without its sidecar again has its pod replaced
@@ -118,13 +118,14 @@ def test_a_static_pod_is_named(platform: Platform, tmp_path: Path) -> None:
     eventually("all is clean", lambda: nothing_strange(platform), SETTLED_SECONDS_MAX)
 
 
-def patched(platform: Platform, *operations: dict[str, Any]) -> None:
+def patched(platform: Platform, agent: str, *operations: dict[str, Any]) -> None:
     """The release's Deployment changed as whoever may speak for Argo CD changes it: admission lets that pass."""
     words = ("patch", "deployment", RELEASE, "--type=json", f"--as={WRITER}", "-p", json.dumps(operations))
-    platform.kubectl("-n", AGENT, *words)
+    platform.kubectl("-n", agent, *words)
 
 
 def test_a_sidecar_and_an_annotation_that_argo_cd_calls_synced_are_named(platform: Platform) -> None:
+    """Of the same release of two agents, which one look compares."""
     eventually("everything runs", platform.settled)
     template = platform.deployment(AGENT, RELEASE)["spec"]["template"]["spec"]
     own = template["containers"][0]
@@ -134,20 +135,18 @@ def test_a_sidecar_and_an_annotation_that_argo_cd_calls_synced_are_named(platfor
         "command": ["python3", "-c", "import time; time.sleep(3600)"],
         "securityContext": own["securityContext"],
     }
-    patched(platform, {"op": "add", "path": "/spec/template/spec/containers/-", "value": sidecar})
-    wanted = ("NotOfTheChart", RELEASE, "")
-    try:
-        eventually("it is named", lambda: wanted in reasons(platform, RELEASES), NAMED_SECONDS_MAX)
-        is_told(platform, "releases", "NotOfTheChart", "sidecar added")
-    finally:
-        patched(platform, {"op": "remove", "path": "/spec/template/spec/containers/1"})
-    eventually("it is gone", lambda: not reasons(platform, RELEASES), GONE_SECONDS_MAX)
     note = "/metadata/annotations/example.com~1note"
-    patched(platform, {"op": "add", "path": note, "value": "x"})
+    patched(platform, AGENT, {"op": "add", "path": "/spec/template/spec/containers/-", "value": sidecar})
+    patched(platform, OTHER_AGENT, {"op": "add", "path": note, "value": "x"})
+    wanted = [("NotOfTheChart", RELEASE, "")] * 2
     try:
-        eventually("the annotation is named", lambda: wanted in reasons(platform, RELEASES), NAMED_SECONDS_MAX)
+        eventually("both are named", lambda: reasons(platform, RELEASES) == wanted, NAMED_SECONDS_MAX)
+        for words in ("sidecar added", "example.com/note"):
+            is_told(platform, "releases", "NotOfTheChart", words)
     finally:
-        patched(platform, {"op": "remove", "path": note})
+        patched(platform, AGENT, {"op": "remove", "path": "/spec/template/spec/containers/1"})
+        patched(platform, OTHER_AGENT, {"op": "remove", "path": note})
+    eventually("both are gone", lambda: not reasons(platform, RELEASES), GONE_SECONDS_MAX)
     eventually("all is clean", lambda: nothing_strange(platform), SETTLED_SECONDS_MAX)
     eventually("everything runs", platform.settled)
 
