@@ -146,13 +146,17 @@ def _report(line: str) -> None:
 
 def text(document: Mapping[str, Any]) -> str:
     """The document for people at a terminal."""
-    past = _past_the_gate(document)
+    without_record = _without_record(document)
     parts = [
         *_section("what ran", ("from", "until", "release", "chart", "digest", "asked_by", "nodes"), _ran(document)),
         *_section("who asked, who approved", ("time", "commit", "subject", "asked_by", "checked"), _changes(document)),
         *_section("which events led to it", ("commit", "task", "event", "rule", "trace"), _events(document)),
         *_section("what policies asked for", ("asked_for", "by", "approved_by", "time", "where"), _policies(document)),
-        *(_section("what came past the gate", ("commit", "how", "signed_by", "made_good"), past) if past else []),
+        *(
+            _section("commits without the gate's record", ("commit", "how", "signed_by", "made_good"), without_record)
+            if without_record
+            else []
+        ),
         *_section("what had been verified", ("chart", "digest", "suite", "result", "key"), _verified(document)),
         *_section(
             "which applications had been checked",
@@ -234,7 +238,7 @@ def _policies(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     return list(rows.values())
 
 
-def _past_the_gate(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def _without_record(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """A row for each commit without a record, but the first one: who signed it, and what became of it."""
     return [
         {

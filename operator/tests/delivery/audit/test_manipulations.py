@@ -191,6 +191,19 @@ def test_what_a_later_plan_made_good_is_said(platform: Platform) -> None:
     undone = platform.merge({path: None for path in files_of(made) if "recorder-c" in path}, message, LATER + MINUTE)
     ((kind, what),) = [one for one in found(platform.audit()) if one[0] == "break-glass"]
     assert what.endswith(f"; undone by commit {undone}"), kind
+    (change,) = [one for one in platform.audit()["changes"] if one["commit"] == commit]
+    assert change["made_good"] == {"how": "undone", "commit": undone}
+
+
+def test_what_nobody_checked_makes_nothing_good(platform: Platform) -> None:
+    break_glass(platform)
+    commit = platform.deployment.tip
+    made = release(RECORDER, platform.names["evidence of recorder"], "cloud-0", "recorder-c", plan_id(8))
+    message = message_of(made, "withdraw", ("revert",))
+    message = message.replace("RobotKube-Plan:", f"RobotKube-Reverts: {commit}\nRobotKube-Plan:")
+    platform.deployment.commit({"README.md": "by hand\n"}, message, LATER + MINUTE, "mallory")
+    ((_, what),) = [one for one in found(platform.audit()) if one[0] == "break-glass"]
+    assert "by commit" not in what
 
 
 def test_every_kind_of_finding_has_a_manipulation_and_a_row_in_the_reference() -> None:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
+from robotkube.delivery.audit.core.findings import Finding
 from robotkube.delivery.audit.core.main_replay import MainChange
 from robotkube.delivery.deployment.core.break_glass import ACCEPTED_PATH, read_accepted
 from robotkube.errors import DocumentError
 
 UNDONE, ACCEPTED, REPLACED = "undone", "accepted", "replaced"
+TOLD = ("break-glass", "break-glass-not-signed", "changed-by-hand")
+"""The findings that say what became of their commit."""
 
 
 @dataclass(frozen=True)
@@ -54,3 +57,10 @@ def _with_accepted(ends: Mapping[str, MadeGood], text: str, commit: str) -> Iter
             yield other, end
     for other in accepted - ends.keys():
         yield other, MadeGood(ACCEPTED, commit)
+
+
+def with_ends(findings: Iterable[Finding], ends: Mapping[str, MadeGood]) -> Iterator[Finding]:
+    """The findings; those about commits that were made good say so."""
+    for one in findings:
+        end = ends.get(one.commit) if one.kind in TOLD else None
+        yield replace(one, what=f"{one.what}; {end.how} by commit {end.commit}") if end else one

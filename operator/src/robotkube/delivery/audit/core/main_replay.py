@@ -7,7 +7,7 @@ Only what changes is read, so that long histories take time in proportion to wha
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 from robotkube.delivery.audit.core.findings import Finding, Place
@@ -38,7 +38,6 @@ T = TypeVar("T")
 PLAN_TRAILER = "\nRobotKube-Plan: "
 CLOCK_SECONDS_MAX = 300  # by which clocks of those who make commits may differ
 PATHS_NAMED_MAX = 5
-MADE_GOOD = ("break-glass", "break-glass-not-signed", "changed-by-hand")
 
 
 @dataclass(frozen=True)
@@ -114,15 +113,7 @@ def replay(
         ReleaseRun(release, state.began[path], "", _url(release, state.sources))
         for path, release in sorted(state.releases.items())
     ]
-    return MainReplay(tuple(changes), _in_order(runs, commits), tuple(_made_good(findings, changes)))
-
-
-def _made_good(findings: Iterable[Finding], changes: Iterable[MainChange]) -> Iterator[Finding]:
-    """The findings; those about commits that a later plan undid say so."""
-    undone = {commit: change.commit.id for change in changes if change.message for commit in change.message.reverts}
-    for one in findings:
-        good = one.kind in MADE_GOOD and one.commit in undone
-        yield replace(one, what=f"{one.what}; undone by commit {undone[one.commit]}") if good else one
+    return MainReplay(tuple(changes), _in_order(runs, commits), tuple(findings))
 
 
 def _in_order(runs: Iterable[ReleaseRun], commits: Sequence[HistoryCommit]) -> tuple[ReleaseRun, ...]:

@@ -16,7 +16,7 @@ from robotkube.delivery.audit.core.catalogue_replay import (
     tip_findings,
 )
 from robotkube.delivery.audit.core.findings import Finding, unique
-from robotkube.delivery.audit.core.made_good import made_good
+from robotkube.delivery.audit.core.made_good import made_good, with_ends
 from robotkube.delivery.audit.core.main_replay import MainReplay, replay
 from robotkube.delivery.audit.core.merge_checks import Merges, check_merges, main_moves, without_record
 from robotkube.delivery.audit.core.outcomes import read_outcomes
@@ -106,7 +106,8 @@ class Auditor:
         known = Known(main, {d: v.image_references for d, v in versions.items() if v}, outcomes.by_commit)
         answered = answer(word, known)
         runs = MainReplay(answered.changes, answered.runs)
-        found = [*main.findings, *merges.findings, *outcomes.findings, *offered.findings]
+        ends = made_good(main.changes, merges.records)
+        found = [*with_ends(main.findings, ends), *merges.findings, *outcomes.findings, *offered.findings]
         found += self._evidence(main, merges, offered)
         found += self._tip(offered)
         found += self._registry(main)
@@ -126,7 +127,6 @@ class Auditor:
         requests = PolicyRequests(
             commits, offered.commits, merges, lambda commit: self._decided_by(commit, merges, offered), self._catalogue
         )
-        ends = made_good(main.changes, merges.records)
         return report.document(
             answered, merges, outcomes, verified, applications, kept, accepted, scope, requests.rows, ends
         )
