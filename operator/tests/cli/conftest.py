@@ -1,3 +1,3 @@
-"""The manager in memory, asked by commands."""
+"""The manager in memory, asked by commands, and the platform that is audited."""
 
-from tests.stages.delivery.fixtures import stage  # noqa: F401 - fixtures
+from tests.stages.delivery.fixtures import clean, platform, stage  # noqa: F401 - fixtures

@@ -17,7 +17,7 @@ from robotkube.cli.main import main
 from robotkube.delivery.inspection.core.statuses import manifest, status_of
 from robotkube.delivery.inspection.core.strangers import Look, Stranger
 from robotkube.foundation.documents.core.times import time_text
-from tests.stages.delivery.audited_platform import Platform, make_platform
+from tests.stages.delivery.audited_platform import Platform
 from tests.stages.delivery.manipulations import break_glass
 from tests.stages.kubernetes.served_objects import FORBIDDEN, serving
 
@@ -57,16 +57,6 @@ class Cluster:
         now = time_text(time.time_ns())
         inspection = {**manifest(look, "robotkube"), "status": status_of(look, {}, now)}
         return self.objects.get(path) if path != INSPECTIONS else {"items": [inspection]}
-
-
-@pytest.fixture(scope="module")
-def clean(tmp_path_factory: pytest.TempPathFactory) -> Platform:
-    return make_platform(tmp_path_factory.mktemp("audited") / "platform")
-
-
-@pytest.fixture
-def platform(clean: Platform, tmp_path: Path) -> Platform:
-    return clean.copy(tmp_path / "platform")
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,7 +14,7 @@ from robotkube.delivery.deployment.core.break_glass import ACCEPTED_PATH
 from robotkube.delivery.deployment.core.merge_records import REFERENCE
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 from tests.stages.attacks import shown
-from tests.stages.delivery.audited_platform import Platform, make_platform
+from tests.stages.delivery.audited_platform import Platform
 from tests.stages.delivery.manipulations import (
     LATER,
     all_records_removed,
@@ -25,16 +24,6 @@ from tests.stages.delivery.manipulations import (
     commit_past_the_gate,
     commit_with_a_record_of_a_stranger,
 )
-
-
-@pytest.fixture(scope="module")
-def clean(tmp_path_factory: pytest.TempPathFactory) -> Platform:
-    return make_platform(tmp_path_factory.mktemp("audited") / "platform")
-
-
-@pytest.fixture
-def platform(clean: Platform, tmp_path: Path) -> Platform:
-    return clean.copy(tmp_path / "platform")
 
 
 @pytest.fixture(autouse=True)

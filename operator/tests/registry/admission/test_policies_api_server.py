@@ -357,14 +357,16 @@ def test_what_would_be_stranded_is_what_the_policies_refuse(api: Api) -> None:
 def test_a_long_list_is_asked_in_parts_and_a_changed_file_is_at_work_by_itself(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> None:
-    numbers = range(100, 100 + 2 * CHUNK + 500)
-    long = Allowed(tuple(map(digest, numbers)), (digest(2),), ())
+    """A list that still fits into the policy's condition, and one that does not."""
     with judged_api_server(tmp_path_factory.mktemp("long"), for_files(DOMAIN, ALLOWED)) as (server, files):
         server.done("POST", "/api/v1/namespaces", {"metadata": {"name": "vehicle-00"}})
         place = path("Pod", "vehicle-00") + DRY
         server.done("POST", place, pod(), REPLICA_SETS)
-        assert files.write(for_files(DOMAIN, long))
-        until(lambda: server.request("POST", place, pod(), REPLICA_SETS)["kind"] == "Status")
-        for number in (numbers[0], numbers[CHUNK - 1], numbers[CHUNK], numbers[2 * CHUNK], numbers[-1]):
-            server.done("POST", place, pod(image(number)), REPLICA_SETS)
-        assert server.refusal("POST", place, pod(), REPLICA_SETS).startswith(image_words(VERIFIED))
+        for count in (CHUNK, 2 * CHUNK + 500):
+            numbers = range(100, 100 + count)
+            assert files.write(for_files(DOMAIN, Allowed(tuple(map(digest, numbers)), (digest(2),), ())))
+            last = pod(image(numbers[-1]))
+            until(lambda: server.request("POST", place, last, REPLICA_SETS)["kind"] == "Pod")  # noqa: B023
+            for number in {numbers[0], *numbers[CHUNK - 1 :: CHUNK], *numbers[CHUNK::CHUNK]}:
+                server.done("POST", place, pod(image(number)), REPLICA_SETS)
+            assert server.refusal("POST", place, pod(), REPLICA_SETS).startswith(image_words(VERIFIED))
