@@ -15,10 +15,13 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import chain, combinations
 from pathlib import Path
+
+from _pytest.mark.expression import Expression
 
 from ci import preflight, preparing, principles, results
 from ci.errors import SetUpError
@@ -29,9 +32,9 @@ TEARDOWN_SECONDS_MAX = 120
 EXAMPLES = "ROBOTKUBE_EXAMPLES"
 MEMORY, MEMORY_BYTES_MIN = Path("/dev/shm"), 4 * 2**30  # noqa: S108 - the folder in it is made by tempfile
 FEW_EXAMPLES, ALL_EXAMPLES = 40, 200
-PLATFORM = f"{TESTS}/platform"
-THOROUGH_WORDS = ("pytest.mark.thorough",)
-SLOWER = r"(?m)^pytestmark = .*\bpytest\.mark\.(processes|toolchain|thorough)\b"
+PLATFORM = f"{TESTS}/platform"  # its tests are marked by their folder
+MARK = re.compile(r"\bpytest\.mark\.(processes|toolchain|thorough)\b")
+OF_ALL = re.compile(r"^pytestmark = .*", re.MULTILINE)  # the marks of all tests of a file
 FASTEST = "not processes and not toolchain and not platform and not thorough"
 
 
@@ -41,9 +44,7 @@ class Group:
 
     `goal_seconds` is what it may take on a quiet machine of two cores; `seconds_max`, and it is ended. `needs` is what
     `preparing.prepare` makes before. Each of the `processes` runs whole files, with servers of its own. `examples` is
-    how many a random test tries, unless the environment says it. A file in which no test of the group can be is not
-    read, since reading all of them takes half a minute of a core for each of the processes: one without any of the
-    `words`, one with a line that is `spared`, one below PLATFORM unless the group's tests lie there (`on_platform`).
+    how many a random test tries, unless the environment says it.
     """
 
     name: str
@@ -52,9 +53,6 @@ class Group:
     needs: str
     processes: int = 1
     examples: int = ALL_EXAMPLES
-    words: tuple[str, ...] = ()
-    spared: str = ""
-    on_platform: bool = False
 
     @property
     def seconds_max(self) -> int:
@@ -63,22 +61,15 @@ class Group:
 
 GROUPS = (
     Group("check", "", 60, "nothing"),
-    Group("fast", FASTEST, 90, "tests", 2, FEW_EXAMPLES, spared=SLOWER),
-    Group(
-        "processes",
-        "(processes or toolchain) and not platform and not thorough",
-        320,
-        "toolchain",
-        3,
-        words=("pytest.mark.processes", "pytest.mark.toolchain"),
-    ),
-    Group("platform", "platform and not thorough", 620, "images", on_platform=True),
+    Group("fast", FASTEST, 90, "tests", 2, FEW_EXAMPLES),
+    Group("processes", "(processes or toolchain) and not platform and not thorough", 320, "toolchain", 3),
+    Group("platform", "platform and not thorough", 620, "images"),
 )
 FAST = GROUPS[1]
 THOROUGH = (
-    Group("random", f"random and {FASTEST}", 600, "tests", 2, spared=SLOWER),
-    Group("proofs", "thorough and not platform", 3000, "images", 2, words=THOROUGH_WORDS),
-    Group("clusters", "thorough and platform", 3000, "images", words=THOROUGH_WORDS, on_platform=True),
+    Group("random", f"random and {FASTEST}", 600, "tests", 2),
+    Group("proofs", "thorough and not platform", 3000, "images", 2),
+    Group("clusters", "thorough and platform", 3000, "images"),
 )
 
 
@@ -119,18 +110,25 @@ def run_pytest(group: Group, places: Sequence[str] = (TESTS,)) -> results.Counts
 
 
 def unread(group: Group, places: Sequence[str]) -> list[str]:
-    """Options that leave out the files below some places in which no test of the group can be."""
+    """Options that leave out the files below some places in which no test of the group can be: reading all of them
+    takes each of its processes half a minute of a core."""
     files = (file for place in places for file in sorted((TOP / place).rglob("test_*.py")))
     return [f"--ignore={file}" for file in files if not can_have_tests(group, file)]
 
 
 def can_have_tests(group: Group, file: Path) -> bool:
-    """Whether a test of the group can be in a file; what is in doubt is read."""
-    if (TOP / PLATFORM in file.parents) != group.on_platform:
-        return False
+    """Whether a test of the group can be in a file, whose tests have the marks of all, and maybe others named there."""
     text = file.read_text("utf-8")
-    missing = group.words and not any(word in text for word in group.words)
-    return not (missing or (group.spared and re.search(group.spared, text)))
+    of_all = {mark for line in OF_ALL.findall(text) for mark in MARK.findall(line)}
+    of_all |= {"platform"} if TOP / PLATFORM in file.parents else set()
+    others = [mark for mark in {*MARK.findall(text), "random"} if mark not in of_all]
+    some = chain.from_iterable(combinations(others, count) for count in range(len(others) + 1))
+    return any(chooses(group, of_all.union(more)) for more in some)
+
+
+def chooses(group: Group, marks: Container[str]) -> bool:
+    """Whether a test with these marks is of the group."""
+    return Expression.compile(group.marker).evaluate(lambda name, /, **_: name in marks)
 
 
 def spread(processes: int) -> list[str]:
