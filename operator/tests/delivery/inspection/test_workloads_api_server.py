@@ -165,15 +165,19 @@ def test_what_is_filled_into_pods_is_explained(api: Api, pod: dict[str, Any] | N
     assert {"priority", "preemptionPolicy", "tolerations"} <= set(made["spec"])
 
 
-def named(api: Api, name: str) -> Stranger:
-    """The stranger that the API server's workloads of a name are, as the inspector reads them."""
-    shape = ReleaseShape("detector", CHART, {name: json.loads(json.dumps({**RENDERED, "metadata": METADATA}))})
+def patched(api: Api, patch: Any, kind: str) -> Stranger:
+    """The stranger that the detector's Deployment is after a patch, as the inspector reads it.
+
+    The inspector lists what the API server holds in memory, which trails its store; so does this, from the patch on.
+    """
+    done = api.done("PATCH", f"{PLACE}/detector", patch, kind=kind)["metadata"]["resourceVersion"]
+    shape = ReleaseShape("detector", CHART, {"detector": json.loads(json.dumps({**RENDERED, "metadata": METADATA}))})
     permitted = Permitted(DOMAIN, Allowed((VERIFIED,), (), (CHART,)), {"vehicle-00": [shape]})
-    listed = api.done("GET", f"{PLACE}?resourceVersion=0")["items"]
+    listed = api.done("GET", f"{PLACE}?resourceVersion={done}&resourceVersionMatch=NotOlderThan")["items"]
     (one,) = [
         stranger
         for item in listed
-        if item["metadata"]["name"] == name
+        if item["metadata"]["name"] == "detector"
         for stranger in strangers_among(item, "Deployment", permitted)
     ]
     return one
@@ -186,13 +190,12 @@ def test_what_somebody_adds_to_a_workload_is_named(api: Api) -> None:
     item = copy.deepcopy(dict(RENDERED))
     applied(api, item)
     note = {"metadata": {"annotations": {"example.com/note": "x"}}}
-    api.done("PATCH", f"{PLACE}/detector", note, kind=MERGE)
-    shown("nodes", named(api, "detector").message, "annotation", "annotation-by-status")
+    shown("nodes", patched(api, note, MERGE).message, "annotation", "annotation-by-status")
     api.done("PATCH", f"{PLACE}/detector", {"metadata": {"annotations": None}}, kind=MERGE)
     sidecar = [{"op": "add", "path": "/spec/template/spec/containers/-", "value": {"name": "miner", "image": "x"}}]
-    api.done("PATCH", f"{PLACE}/detector", sidecar, kind=JSON_PATCH)
-    assert "miner added" in named(api, "detector").message
-    shown("nodes", named(api, "detector").message, "sidecar")
+    message = patched(api, sidecar, JSON_PATCH).message
+    assert "miner added" in message
+    shown("nodes", message, "sidecar")
 
 
 @pytest.fixture
