@@ -35,7 +35,7 @@ class Command:
 
 def commands() -> Sequence[Command]:
     """Every command; other modules of the command line add theirs here."""
-    from robotkube.cli import audit, break_glass, plans, status, traces
+    from robotkube.cli import audit, break_glass, completion, plans, status, traces, versions
     from robotkube.cli import rules as cli_rules
     from robotkube.cli.recordings import commands as cli_recordings
     from robotkube.cli.recordings import export
@@ -119,6 +119,9 @@ def commands() -> Sequence[Command]:
             cli_rules.explain,
             cli_rules.explaining,
         ),
+        Command(
+            "registry", "list", "every application and chart", cli_registry.list_entries, cli_registry.choosing_sources
+        ),
         Command("registry", "search", "applications and charts", cli_registry.search_entries, cli_registry.searching),
         Command("registry", "show", "everything about one entry", cli_registry.show_entry, cli_registry.naming),
         Command("registry", "graph", "versions and their upgrades", cli_registry.show_graph, cli_registry.drawing),
@@ -150,6 +153,8 @@ def commands() -> Sequence[Command]:
             admission_list.show_list,
             admission_list.listing_arguments,
         ),
+        Command("version", "", "versions of this program and of the platform", versions.show_versions, versions.asking),
+        Command("completion", "", "completion of commands in a shell", completion.complete, completion.naming),
     ]
 
 
@@ -171,7 +176,7 @@ def parser(commands: Sequence[Command]) -> argparse.ArgumentParser:
         Platform.add_arguments(verb)
         verb.add_argument("-o", "--output", choices=FORMATS, default="table", help="form of the data on stdout")
         command.arguments(verb)
-        verb.set_defaults(command=command)
+        verb.set_defaults(command=command, grammar=root)
     return root
 
 
@@ -187,9 +192,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return EXIT_REFUSED
     if table is not None:
         write(table, options.output, sys.stdout)
-        if table.refusal:
-            print(f"robotkube: {table.refusal}", file=sys.stderr)
-            return EXIT_REFUSED
+        for problem, code in ((table.refusal, EXIT_REFUSED), (table.unreachable, EXIT_UNREACHABLE)):
+            if problem:
+                print(f"robotkube: {problem}", file=sys.stderr)
+                return code
     return EXIT_DONE
 
 

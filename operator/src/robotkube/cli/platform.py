@@ -127,6 +127,16 @@ class Platform:
         except KeyError:
             return {}
 
+    def versions(self) -> Mapping[str, str]:
+        """The versions of what is reached, by program: the cluster, the platform's chart, the manager's image."""
+        cluster = {"kubernetes": str(self._read("GET", "/version")["gitVersion"])}
+        manager = self._deployment(self._namespace, self._manager)
+        if not manager:
+            raise InputError(f"no Deployment {self._manager} in namespace {self._namespace}; see --platform-namespace")
+        labels = manager["metadata"].get("labels", {})
+        images = [container["image"] for container in manager["spec"]["template"]["spec"]["containers"]]
+        return cluster | {"platform": labels.get("helm.sh/chart", "unknown"), "manager": ", ".join(images)}
+
     def page(self, path: str) -> Mapping[str, Any]:
         """A JSON page of the manager."""
         return self._of_manager("GET", path)

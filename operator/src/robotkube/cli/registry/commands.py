@@ -1,6 +1,8 @@
-"""The commands `robotkube registry search|show|graph|validate`: entries of the catalogue, and faults of its sources.
+"""The commands `robotkube registry list|search|show|graph|validate`: entries of the catalogue, and faults of its
+sources.
 
-Entries come from a folder of sources (`--registry`, by default `registry` when it is there) or from the platform.
+Entries are those of the platform when one is reachable, else, or with `--local`, those of the sources in `registry`;
+`--registry` names another folder of sources.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from pathlib import Path
 
 from robotkube.cli.output import Table
 from robotkube.cli.platform import Platform
+from robotkube.errors import InputError, UnavailableError
 from robotkube.registry.catalogue.adapters.source_folders import read_sources
 from robotkube.registry.catalogue.core.catalogue import read_catalogue
 from robotkube.registry.catalogue.core.chart_versions import CHANNELS, STATES
@@ -29,8 +32,13 @@ COLUMNS = ("kind", "name", "version", "channel", "state", "provides", "declared"
 def choosing_sources(parser: argparse.ArgumentParser) -> None:
     """Add the arguments that say where the entries come from."""
     places = parser.add_mutually_exclusive_group()
-    places.add_argument("--registry", type=Path, metavar="FOLDER", help="sources (default: registry, when it is there)")
-    places.add_argument("--platform", action="store_true", help="the catalogue that the platform's manager reads")
+    places.add_argument("--registry", type=Path, metavar="FOLDER", help="sources in this folder")
+    places.add_argument("--local", action="store_true", help=f"sources in the folder {REGISTRY}")
+    places.add_argument(
+        "--platform",
+        action="store_true",
+        help=f"the platform's catalogue, or nothing (default: that when a platform answers, else {REGISTRY})",
+    )
 
 
 def searching(parser: argparse.ArgumentParser) -> None:
@@ -71,7 +79,10 @@ def search_entries(options: argparse.Namespace) -> Table:
     """List the entries that meet all criteria."""
     guarantee = read_guarantee(options.guarantee) if options.guarantee else ""
     criteria = Criteria(options.text, options.provides, options.needs, guarantee, options.channel, options.state)
-    entries = search(_entries(options), criteria)
+    return _table(search(_entries(options), criteria))
+
+
+def _table(entries: Sequence[Entry]) -> Table:
     return Table("entries", COLUMNS, [{**entry, "declared": _declared(entry)} for entry in entries])
 
 
@@ -84,6 +95,11 @@ def _declared(entry: Entry) -> list[str]:
         for bound in bounds
         if bound in g
     ]
+
+
+def list_entries(options: argparse.Namespace) -> Table:
+    """List every entry."""
+    return _table(_entries(options))
 
 
 def show_entry(options: argparse.Namespace) -> Table:
@@ -100,10 +116,22 @@ def show_graph(options: argparse.Namespace) -> Table:
 
 
 def _entries(options: argparse.Namespace) -> Sequence[Entry]:
-    folder = options.registry or (REGISTRY if REGISTRY.is_dir() and not options.platform else None)
-    if folder is None:
+    if options.registry or options.local:
+        return _of_sources(options.registry or REGISTRY)
+    named = options.platform or options.kubeconfig or options.context
+    try:
         entries: Sequence[Entry] = Platform(options).page("/catalogue")["entries"]
-        return entries
+    except (InputError, UnavailableError) as error:
+        if named or not REGISTRY.is_dir():
+            raise
+        print(f"robotkube: from the sources in {REGISTRY}, since no platform answers: {error}", file=sys.stderr)
+        return _of_sources(REGISTRY)
+    if REGISTRY.is_dir() and not named:
+        print(f"robotkube: from the platform's catalogue; --local: from the sources in {REGISTRY}", file=sys.stderr)
+    return entries
+
+
+def _of_sources(folder: Path) -> Sequence[Entry]:
     sources = read_sources(folder)
     catalogue = read_catalogue(sources.files, published=False)
     problems = [*map(str, sources.findings), *(f"{folder}/{problem}" for problem in catalogue.problems)]
