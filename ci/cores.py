@@ -23,7 +23,20 @@ STANDARD = frozenset(
     [
         *("__future__", "abc", "array", "base64", "binascii", "bisect", "cmath", "collections", "collections.abc"),
         *("copy", "dataclasses", "datetime", "decimal", "enum", "fractions", "functools", "hashlib", "heapq", "hmac"),
-        *("ipaddress", "itertools", "json", "math", "operator", "re", "shlex", "statistics", "string", "struct"),
+        *(
+            "ipaddress",
+            "itertools",
+            "json",
+            "math",
+            "operator",
+            "re",
+            "re._constants",
+            "re._parser",
+            "shlex",
+            "statistics",
+            "string",
+            "struct",
+        ),
         *("textwrap", "types", "typing", "unicodedata", "zlib"),
     ]
 )

@@ -170,7 +170,7 @@ def test_what_was_not_submitted_counts_by_its_own_evidence(tmp_path: Path) -> No
 
 
 def test_parameters_for_which_no_value_is_found_are_named(tmp_path: Path) -> None:
-    secret = {"word": {"type": "string", "pattern": "^open-[0-9]{9}-sesame$"}}
+    secret = {"word": {"type": "string", "pattern": "^(?=open)sesame$"}}
     required = application(parameters={"type": "object", "required": ["word"], "properties": secret})
     assert tried(tmp_path, required).problems == (
         "spec.parameters: no set of values was found that the schema accepts; add `examples: [...]` to the parameters",

@@ -32,6 +32,7 @@ from tests.stages.registry.registry_mistakes import (
     write,
 )
 
+PERCEPTION = "registry/applications/environment-perception.yaml"
 SECONDS_MAX = 10.0  # of the processor for 500 versions; it takes 2
 
 
@@ -110,6 +111,15 @@ def test_all_mistakes_come_at_once(folder: Path) -> None:
         "release.yaml: document",
     ):
         assert sum(wanted in text for text in found) == 1, found
+
+
+def test_a_pattern_is_tried_with_texts_that_fit_it(folder: Path) -> None:
+    """Where nothing fits, this alone is said, not what the templates say of a parameter that is missing."""
+    sensor = "spec.parameters.properties.sensor"
+    put(PERCEPTION, f"{sensor}.pattern", "^unit-[0-9]{3}$")(folder)
+    assert findings(folder) == []
+    put(PERCEPTION, f"{sensor}.pattern", "^(?=b)a$")(folder)
+    assert [found.key for found in findings(folder)] == [sensor]
 
 
 def test_a_broken_file_does_not_make_others_dangle(folder: Path) -> None:

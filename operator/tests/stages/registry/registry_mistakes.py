@@ -250,7 +250,7 @@ TEMPLATES = [
     Mistake("expression", parameter("vehicles.items.pattern", "("), RECORDING, "spec.parameters", "no JSON Schema: "),
     Mistake(
         "no sample",
-        parameter("plate", {"type": "string", "pattern": "^[A-Z]{3} [0-9]{5}$"}),
+        parameter("plate", {"type": "string", "pattern": "^(?=b)a$"}),
         RECORDING,
         "spec.parameters.properties.plate",
         "add `examples: [...]` with one that fits",

@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import islice
 from typing import Any
 
+from robotkube.foundation.documents.core.pattern_samples import fitting
+
 Validate = Callable[[Mapping[str, Any], Any], Sequence[str]]
 
 OBJECTS_MAX = 24
@@ -128,6 +130,8 @@ def _texts(schema: Mapping[str, Any]) -> Iterator[str]:
         yield from _TEXTS[:2]
         return
     yield from _TEXTS
+    if isinstance(schema.get("pattern"), str):
+        yield from fitting(schema["pattern"])
     length = schema.get("minLength")
     if isinstance(length, int) and 0 < length <= ITEMS_MAX:
         yield "a" * length

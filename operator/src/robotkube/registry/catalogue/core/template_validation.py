@@ -43,9 +43,13 @@ def application_problems(
 ) -> list[Problem]:
     """Every problem of the templates; `folders` are, per service, the charts that it may get."""
     sampler = Sampler(application.parameters, tools.validate)
-    problems = [*_sampling(sampler), *_unknown_names(application, tools)]
+    unsampled = list(_sampling(sampler))
+    problems = [*unsampled, *_unknown_names(application, tools)]
     reported = {key for key, _ in problems}
-    samples = sampler.objects() or [{}]
+    samples = sampler.objects()
+    if unsampled and not samples:
+        return problems  # what the templates would say of nothing follows from that
+    samples = samples or [{}]
     tries = [
         [problem for sample in samples for problem in _Trial(application, names, sample, folders, tools).problems()]
         for names in _modes(application)
