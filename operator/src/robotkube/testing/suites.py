@@ -73,7 +73,7 @@ def make_request(suite: str = "install", seconds: int = 30, attempt: str = "a1",
 @dataclass
 class MemoryTestNamespace:
     """A test namespace in memory whose course a test decides. `readiness` answers wait_ready in order (then: ready),
-    `runs` run_pod, `ends` delete."""
+    `runs` run_pod, `ends` delete, `pods_seen` pods."""
 
     namespace: str = "robotkube-suite-0"
     agent: str = "cloud-0"
@@ -86,6 +86,7 @@ class MemoryTestNamespace:
     calls: list[tuple[str, Any]] = field(default_factory=list)
     objects: dict[tuple[str, str], Object] = field(default_factory=dict)
     on_apply: Callable[[Sequence[Object]], None] | None = None
+    pods_seen: list[Sequence[Object]] = field(default_factory=list)
 
     def provide(self, config_maps: Mapping[str, Mapping[str, str]]) -> None:
         """Note the ConfigMaps."""
@@ -110,7 +111,9 @@ class MemoryTestNamespace:
         return self.readiness.pop(0) if self.readiness else ""
 
     def pods(self) -> Sequence[Object]:
-        """The pods, one per Deployment."""
+        """The next of `pods_seen`, else one per Deployment."""
+        if self.pods_seen:
+            return self.pods_seen.pop(0)
         deployments = [item for (kind, _), item in self.objects.items() if kind == "Deployment"]
         return [{**item["spec"]["template"], "kind": "Pod"} for item in deployments]
 

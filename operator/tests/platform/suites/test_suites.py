@@ -31,8 +31,8 @@ BRIDGE, DETECTOR = "mqtt-bridge", "event-detector"
 PAGE = PROJECT / "docs" / "how-to" / "write-a-suite.md"
 EXAMPLE = re.compile(r"^```python short_grace\.py\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 VERDICT_SECONDS_MAX = 600.0
-INSTALL = SuiteRule("install", "1", 240)
-SHORT_INSTALL = SuiteRule("install", "1", 75)  # a chart that never gets ready takes 60 % of it
+INSTALL = SuiteRule("install", "2", 240, soak_seconds=10)
+SHORT_INSTALL = SuiteRule("install", "2", 75)  # a chart that never gets ready takes 60 % of it
 VERIFIED = "verified"
 CHECKS = {"installs", "becomes-ready", "stops-within-its-grace", "leaves-nothing-behind", "upgrades"}
 

@@ -34,6 +34,19 @@ def test_a_suite_of_a_user_names_its_image() -> None:
     assert found.suites == (SuiteRule("own", "3", 9, IMAGE, ("run", "--all"), True),)
 
 
+@pytest.mark.parametrize(
+    ("keys", "seconds"), [("", 60), (", soakSeconds: 10", 10), (", soakSeconds: 0", 0), (", soakSeconds: 120", 120)]
+)
+def test_how_long_a_chart_soaks(keys: str, seconds: int) -> None:
+    found = read_verification_policy(policy(f"{{name: install, version: '2', seconds: 240{keys}}}"), PATH)
+    assert found.suites == (SuiteRule("install", "2", 240, soak_seconds=seconds),)
+
+
+def test_a_run_that_is_short_soaks_for_half_of_it() -> None:
+    found = read_verification_policy(policy("{name: install, version: '2', seconds: 75}"), PATH)
+    assert found.suites[0].soak_seconds == 37
+
+
 def test_the_digest_is_that_of_the_meaning() -> None:
     spaced = POLICY_TEXT.replace('version: "1"', "version:  '1'") + "# a comment\n"
     assert spaced != POLICY_TEXT
@@ -61,6 +74,9 @@ def test_the_digest_is_that_of_the_meaning() -> None:
         ("{name: static, version: '1', seconds: 60, retries: 3}", "spec.suites[0].retries: unknown key; remove it"),
         (f"{{name: {'x' * 41}, version: '1', seconds: 1, image: '{IMAGE}'}}", "spec.suites[0].name: 'xxx"),
         ("text", "spec.suites[0]: must be a mapping"),
+        ("{name: static, version: '1', seconds: 60, soakSeconds: 5}", "[0].soakSeconds: only install soaks; remove it"),
+        ("{name: install, version: '1', seconds: 60, soakSeconds: 31}", "from 0 to 30, half of `seconds`"),
+        ("{name: install, version: '1', seconds: 60, soakSeconds: true}", "[0].soakSeconds: must be whole seconds"),
     ],
 )
 def test_a_mistake_is_named_with_its_key(suites: str, expected: str) -> None:

@@ -9,14 +9,16 @@ from robotkube.errors import InputError
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.registry.evidence.core.statements import Check
 from robotkube.registry.suites.loops.install import InstallSuite
+from robotkube.registry.suites.loops.soak import Soak
 from robotkube.registry.suites.ports.suites import Object, PodEnd, PodRun, Subject
 from robotkube.testing.suites import ENTRY, MemoryTestNamespace, deployment, make_subject
 
+RENDER = Jinja2Templates().render
 ORDERLY = PodEnd("greeter-1", 1.0, 3.0, {"main": 0})
 
 
 def judge(test_namespace: MemoryTestNamespace, subject: Subject | None = None) -> dict[str, Check]:
-    suite = InstallSuite(Jinja2Templates().render, lambda: 7)
+    suite = InstallSuite(RENDER, lambda: 7, Soak("observer@sha256:1", RENDER, lambda: "secret", 0))
     return {check.name: check for check in suite.run(subject or make_subject(), test_namespace)}
 
 
@@ -176,4 +178,6 @@ def test_an_upgrade_that_the_api_server_refuses() -> None:
 
 def test_it_needs_a_test_namespace() -> None:
     with pytest.raises(InputError, match="needs a test namespace"):
-        InstallSuite(Jinja2Templates().render, lambda: 7).run(make_subject(), None)
+        InstallSuite(RENDER, lambda: 7, Soak("observer@sha256:1", RENDER, lambda: "secret", 0)).run(
+            make_subject(), None
+        )

@@ -26,8 +26,10 @@ from robotkube.registry.catalogue.core.expected_topics import ExpectedTopic
 from robotkube.registry.charts.core.values_schemas import overlay
 from robotkube.registry.evidence.core.statements import Artefact, Check
 from robotkube.registry.suites.core.interface_observations import read_observation
+from robotkube.registry.suites.loops.installation import filled_sets, install
 from robotkube.registry.suites.loops.interface import InterfaceSuite
 from robotkube.registry.suites.loops.interface_observer import InterfaceObserver, ObserverPorts, ObserverTimeouts
+from robotkube.registry.suites.loops.soak import Soak
 from robotkube.registry.suites.ports.suites import Subject
 from tests.stages.paths import REPOSITORY
 from tests.stages.registry.local_namespace import SOURCE, LocalTestNamespace, deployment
@@ -182,6 +184,38 @@ def test_what_registry_new_writes_passes(namespace: LocalTestNamespace, folder: 
     checks = list(suite().run(subject(chart, entry, relay(chart)), namespace))
     assert said([check for check in checks if not check.passed]) == ""
     assert len(checks) > 8
+
+
+DYING = """
+    heard = []
+    def repeat(message):
+        publisher.publish(message)
+        heard.append(message)
+        len(heard) < 20 or os._exit(3)
+    ready.set"""
+
+
+def test_a_chart_that_ends_after_some_messages_passes_the_interface_suite_and_not_the_soak(
+    namespace: LocalTestNamespace, folder: Path
+) -> None:
+    new_application("relay", "relay/text", folder / "charts", folder / "registry")
+    chart = folder / "charts" / "relay"
+    node = chart / "files" / "node.py"
+    text = (
+        node.read_text()
+        .replace("publisher.publish, QOS", "lambda message: repeat(message), QOS")
+        .replace("    ready.set", DYING)
+    )
+    node.write_text(text.replace("import signal", "import os\nimport signal", 1))
+    entry = yaml.safe_load((folder / "registry/charts/relay/0.1.0.yaml").read_text())
+    tested = subject(chart, entry, relay(chart))
+    assert said([check for check in suite().run(tested, namespace) if not check.passed]) == ""
+    render = Jinja2Templates().render
+    first = filled_sets(entry, namespace.agent, time.time_ns(), render)[0]
+    assert install(tested, namespace, first).ready
+    [check] = Soak("observer", render, lambda: secrets.token_hex(8), 6).checks(tested, namespace, first)
+    assert (check.name, check.passed) == ("keeps-running", False)
+    assert "pod relay: container relay ended with 3 (Error)" in check.found
 
 
 @pytest.mark.parametrize("name", [*IN_EVERY_RUN, *(pytest.param(name, marks=pytest.mark.thorough) for name in ALSO)])

@@ -142,7 +142,13 @@ class LocalTestNamespace:
             process.wait(STOP_SECONDS_MAX)
 
     def pods(self) -> Sequence[Object]:
-        return [{"metadata": {"name": name}} for name in self.processes]
+        return [self._pod(name, process.poll()) for name, process in self.processes.items()]
+
+    def _pod(self, name: str, code: int | None) -> Object:
+        state = {"running": {}} if code is None else {"terminated": {"exitCode": code, "reason": "Error"}}
+        ready = {"type": "Ready", "status": str(code is None)}
+        status = {"conditions": [ready], "containerStatuses": [{"name": name, "state": state}]}
+        return {"metadata": {"name": name}, "spec": {}, "status": status}
 
     def logs(self, pod: str) -> str:
         return (self.folder / f"{pod}.log").read_text()

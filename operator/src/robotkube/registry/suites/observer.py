@@ -2,7 +2,8 @@
 
 Reads /suite/config.json (variable ROBOTKUBE_SUITE_CONFIG: another file), observes the ROS network of ROS_DOMAIN_ID, the
 broker of the mounted Secret when `broker` is true, and the database of `database`. Its last line on stdout is
-`{"observation": {...}}` (core/interface_observations.py). With `clear` it only empties the database.
+`{"observation": {...}}` (core/interface_observations.py). With `clear` it only empties the database; with
+`load_seconds` it sends to all inputs for that long instead of observing each.
 """
 
 from __future__ import annotations
@@ -83,14 +84,15 @@ def body(process: Process) -> None:
     expected = [ExpectedTopic(**topic) for topic in config["topics"]]
     bounds = ObserverTimeouts(**config["bounds"])
     process.log("observing", topics=len(expected), broker=config["broker"], database=database is not None)
-    write(InterfaceObserver(expected, ports, float(config["seconds_max"]), bounds).run())
+    observer = InterfaceObserver(expected, ports, float(config["seconds_max"]), bounds)
+    write(observer.load(float(config["load_seconds"])) if config["load_seconds"] else observer.run())
 
 
 def read_config(text: str, where: str) -> Mapping[str, Any]:
     """The settings as `loops/interface.py` writes them; InputError when they are not."""
     try:
         config = read_json(text)
-        for key in ("topics", "node", "client", "broker", "database", "clear", "seconds_max", "bounds"):
+        for key in ("topics", "node", "client", "broker", "database", "clear", "load_seconds", "seconds_max", "bounds"):
             config[key]
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"{where}: is no configuration of an observer: {error!r}") from error

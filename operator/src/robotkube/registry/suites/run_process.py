@@ -34,6 +34,7 @@ from robotkube.registry.suites.loops.images import ImagesSuite
 from robotkube.registry.suites.loops.install import InstallSuite
 from robotkube.registry.suites.loops.interface import InterfaceSuite
 from robotkube.registry.suites.loops.run import NO_NAMESPACE, read_subject, run_suite, unfinished
+from robotkube.registry.suites.loops.soak import Soak
 from robotkube.registry.suites.loops.static import StaticSuite
 from robotkube.registry.suites.ports.suites import Subject, Suite, SuiteAccount
 from robotkube.registry.suites.settings import FORMER_KEYS, RunnerConfiguration, read_configuration
@@ -78,11 +79,13 @@ def find_suite(configuration: RunnerConfiguration, rule: SuiteRule, oci_registry
     if rule.image:
         return CustomSuite(rule, render, time.time_ns)
     host = urlsplit(configuration.images_registry).netloc
+    token = functools.partial(secrets.token_hex, 8)
+    soak = Soak(configuration.observer_image, render, token, rule.soak_seconds)
     known: tuple[Suite, ...] = (
         StaticSuite(violations, render),
         ImagesSuite(oci_registry, host, render),
-        InterfaceSuite(configuration.observer_image, render, time.time_ns, functools.partial(secrets.token_hex, 8)),
-        InstallSuite(render, time.time_ns),
+        InterfaceSuite(configuration.observer_image, render, time.time_ns, token),
+        InstallSuite(render, time.time_ns, soak),
     )
     return next((suite for suite in known if suite.name == rule.name), None)
 

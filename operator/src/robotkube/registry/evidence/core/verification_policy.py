@@ -25,6 +25,8 @@ PLATFORM_SUITES = ("static", "images", "interface", "install")  # the others bri
 SUMMARY = "summary"  # the name of the summary's file next to those of the suites
 SUITES_MAX = 16
 SECONDS_MAX = 3600
+SOAK_SECONDS = 60
+SOAKING = "install"  # the suite that soaks
 COMMAND_WORDS_MAX = 32
 COMMAND_CHARACTERS_MAX = 1024
 
@@ -32,7 +34,8 @@ COMMAND_CHARACTERS_MAX = 1024
 @dataclass(frozen=True)
 class SuiteRule:
     """One suite that has to pass. `seconds` bounds a run; a user's own suite names the `image` (by digest) that is
-    the suite and perhaps its `command`; `installs`: it needs the chart installed."""
+    the suite and perhaps its `command`; `installs`: it needs the chart installed. `soak_seconds`: how long the suite
+    `install` keeps the chart running under traffic."""
 
     name: str
     version: str
@@ -40,6 +43,7 @@ class SuiteRule:
     image: str = ""
     command: tuple[str, ...] = ()
     installs: bool = False
+    soak_seconds: int = 0
 
 
 @dataclass(frozen=True)
@@ -76,7 +80,7 @@ def read_verification_policy(text: str, path: str = PATH) -> VerificationPolicy:
 
 
 def _rule(reader: Reader, value: Any, path: str) -> SuiteRule:
-    rule = reader.mapping(value, path, ["name", "version", "seconds"], ["image", "command", "installs"])
+    rule = reader.mapping(value, path, ["name", "version", "seconds"], ["image", "command", "installs", "soakSeconds"])
     name = reader.word(rule.get("name"), f"{path}.name", SUITE_NAME)
     if name == SUMMARY:
         reader.problems.append(f"{path}.name: {SUMMARY!r} is taken; choose another")
@@ -89,6 +93,7 @@ def _rule(reader: Reader, value: Any, path: str) -> SuiteRule:
         image=_image(reader, name, rule, path),
         command=_command(reader, rule.get("command"), f"{path}.command"),
         installs=_installs(reader, rule.get("installs", False), f"{path}.installs"),
+        soak_seconds=_soak_seconds(reader, name, rule, path),
     )
 
 
@@ -96,6 +101,20 @@ def _seconds(reader: Reader, value: Any, path: str) -> int:
     if isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= SECONDS_MAX:
         return value
     reader.problems.append(f"{path}: must be whole seconds from 1 to {SECONDS_MAX}")
+    return 0
+
+
+def _soak_seconds(reader: Reader, name: str, rule: Mapping[str, Any], path: str) -> int:
+    """At most half of a run's time: the rest is for starting, stopping and upgrading."""
+    if name != SOAKING:
+        reader.problems += [f"{path}.soakSeconds: only {SOAKING} soaks; remove it"] if "soakSeconds" in rule else []
+        return 0
+    seconds = rule.get("seconds")
+    most = seconds // 2 if isinstance(seconds, int) and not isinstance(seconds, bool) else SECONDS_MAX // 2
+    value = rule.get("soakSeconds", min(SOAK_SECONDS, most))
+    if isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= most:
+        return value
+    reader.problems.append(f"{path}.soakSeconds: must be whole seconds from 0 to {most}, half of `seconds`")
     return 0
 
 

@@ -164,7 +164,9 @@ def _artefact(reader: Reader, value: Any, path: str) -> Artefact:
 
 
 def _rule(reader: Reader, value: Any) -> SuiteRule:
-    rule = reader.mapping(value, "rule", ["name", "version", "seconds"], ["image", "command", "installs"])
+    rule = reader.mapping(
+        value, "rule", ["name", "version", "seconds"], ["image", "command", "installs", "soak_seconds"]
+    )
     words = reader.sequence(rule.get("command"), "rule.command")
     if len(words) > COMMAND_WORDS_MAX or not all(isinstance(word, str) for word in words):
         reader.problems.append(f"rule.command: must be a list of at most {COMMAND_WORDS_MAX} texts")
@@ -178,6 +180,7 @@ def _rule(reader: Reader, value: Any) -> SuiteRule:
         image=reader.word(rule.get("image") or None, "rule.image", IMAGE_BY_DIGEST, default=""),
         command=tuple(words),
         installs=rule.get("installs", False) is True,
+        soak_seconds=int(_number(reader, rule.get("soak_seconds", 0), "rule.soak_seconds")),
     )
 
 

@@ -1,5 +1,5 @@
-"""Suite `install`: the chart installs with its first test set, gets ready, upgrades from the version it replaces, stops
-within its grace and leaves nothing behind."""
+"""Suite `install`: the chart installs with its first test set, gets ready, keeps running under traffic, upgrades from
+the version it replaces, stops within its grace and leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from robotkube.registry.evidence.core.statements import Check
 from robotkube.registry.suites.core.pod_descriptions import KILLED
 from robotkube.registry.suites.core.requests import TestSet
 from robotkube.registry.suites.loops.installation import Installation, apply, filled_sets, install
+from robotkube.registry.suites.loops.soak import Soak
 from robotkube.registry.suites.ports.suites import Object, PodEnd, Subject, SuiteNamespace
 
 STOP_MARGIN_SECONDS = 20.0  # of Kubernetes itself, in addition to the pods' own grace
@@ -27,23 +28,26 @@ STOP_FIX = (
 
 
 class InstallSuite:
-    """The port Suite. `render` fills templates; `now_ns` is the wall clock in ns since 1970."""
+    """The port Suite. `render` fills templates; `now_ns` is the wall clock in ns since 1970; `soak` keeps the chart
+    running under traffic."""
 
     name = "install"
-    version = "1"
+    version = "2"
     needs_namespace = True
 
-    def __init__(self, render: Render, now_ns: Callable[[], int]) -> None:
+    def __init__(self, render: Render, now_ns: Callable[[], int], soak: Soak) -> None:
         self._render = render
         self._now_ns = now_ns
+        self._soak = soak
 
     def run(self, subject: Subject, test_namespace: SuiteNamespace | None) -> Sequence[Check]:
-        """The five checks; those that an earlier failure makes pointless are left out."""
+        """The six checks; those that an earlier failure makes pointless are left out."""
         if test_namespace is None:
             raise InputError("the suite install needs a test namespace")
         checks, installation = self._installed(subject, test_namespace)
         if installation is None or not installation.ready:
             return checks
+        checks += self._soak.checks(subject, test_namespace, self._first_set(subject, test_namespace))
         checks += self._removed(installation, test_namespace)
         return [*checks, self._upgraded(subject, test_namespace)]
 

@@ -6,18 +6,14 @@ Per set it installs the chart in the test namespace, runs a second pod on the sa
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 from robotkube.errors import DocumentError, InputError
-from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.value_templates import Render
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.registry.catalogue.core.expected_topics import (
     DATABASE,
-    IN,
     MQTT,
     ExpectedTopic,
     declaration_checks,
@@ -29,19 +25,14 @@ from robotkube.registry.suites.core.interface_observations import (
     Observation,
     bounded,
     compare,
-    read_observation,
-    with_broker_log,
 )
 from robotkube.registry.suites.core.namespace_contents import BROKER_SECRET, DATABASE_SECRET
 from robotkube.registry.suites.core.requests import TestSet
 from robotkube.registry.suites.loops.installation import filled_sets, install, named_secrets
 from robotkube.registry.suites.loops.interface_observer import ObserverTimeouts
-from robotkube.registry.suites.ports.suites import Subject, SuiteAccount, SuiteNamespace
+from robotkube.registry.suites.loops.observer_pod import ObserverPod
+from robotkube.registry.suites.ports.suites import Subject, SuiteNamespace
 
-OBSERVER = ("robotkube-suite-observer",)
-CONFIG = "config.json"
-POD_SECONDS = 30.0
-OBSERVE_SECONDS_MIN = 15.0
 REMOVE_SECONDS_MAX = 60.0
 LEAD_NS = 5_000_000_000
 TEXT_CHARACTERS_MAX = 1_500
@@ -113,75 +104,17 @@ class InterfaceSuite:
         if broker:
             test_namespace.start_broker()
         database = test_namespace.start_database() if needed & {DATABASE, DATABASE_SECRET} else None
-        pod = _ObserverPod(self, test_namespace, broker, database)
+        pod = ObserverPod(self.observer, test_namespace, broker, database, self.bounds)
         if database is not None and not first:
-            pod.clear()
+            pod.clear(self.token())
         log_length_before = len(test_namespace.broker_log())
         try:
             installation = install(subject, test_namespace, values)
             if not installation.ready:
                 raise InputError(installation.problem)
-            return pod.observe(expected, log_length_before)
+            return pod.observe(expected, self.token(), log_length_before)
         finally:
             test_namespace.delete(objects, REMOVE_SECONDS_MAX)
-
-
-@dataclass(frozen=True)
-class _ObserverPod:
-    """The observer pod of one set."""
-
-    suite: InterfaceSuite
-    test_namespace: SuiteNamespace
-    broker: bool
-    database: SuiteAccount | None
-
-    def clear(self) -> None:
-        """Delete what the set before wrote to the database."""
-        self._run((), clear=True, token=self.suite.token())
-
-    def observe(self, expected: Sequence[ExpectedTopic], log_length_before: int) -> Observation:
-        """What the chart opens and does; InputError when the observer failed."""
-        token = self.suite.token()
-        observation = self._run(expected, clear=False, token=token)
-        return with_broker_log(observation, self.test_namespace.broker_log()[log_length_before:], f"suite-{token}")
-
-    def _run(self, expected: Sequence[ExpectedTopic], clear: bool, token: str) -> Observation:
-        wanted = self.suite.bounds.whole(sum(topic.direction == IN for topic in expected))
-        seconds = max(OBSERVE_SECONDS_MIN, min(wanted, self.test_namespace.seconds_left / 2 - POD_SECONDS))
-        config = {
-            "topics": [asdict(topic) for topic in expected],
-            "node": f"suite_{token}",
-            "client": f"suite-{token}",
-            "broker": self.broker,
-            "database": _database(self.database),
-            "clear": clear,
-            "seconds_max": seconds,
-            "bounds": asdict(self.suite.bounds),
-        }
-        files = {CONFIG: json.dumps(config).encode()}
-        run = self.test_namespace.run_pod(
-            "observer", self.suite.observer, OBSERVER, files, seconds + POD_SECONDS, accounts=self.broker
-        )
-        if not run.succeeded:
-            description = f"exit code {run.exit_code}; {run.problem}\n{run.log[-TEXT_CHARACTERS_MAX // 2 :]}"
-            raise InputError(f"the observer could not observe the chart: {description}")
-        return _read(run.log)
-
-
-def _read(log: str) -> Observation:
-    for line in reversed(log.splitlines()):
-        if line.startswith('{"observation":'):
-            try:
-                return read_observation(read_json(line)["observation"], "observation")
-            except (ValueError, TypeError) as error:
-                raise InputError(f"the observer's last line is cut off: {error}; use fewer topics") from error
-    raise InputError(f"the observer printed no observation: {log[-TEXT_CHARACTERS_MAX // 2 :]}")
-
-
-def _database(account: SuiteAccount | None) -> Mapping[str, Any] | None:
-    if account is None:
-        return None
-    return {**asdict(account), "authentication_database": account.database}
 
 
 def _entry_check(error: InputError) -> Check:

@@ -35,6 +35,7 @@ from robotkube.robots.ros.ports import MessageSink, MessageSource
 TURN_SECONDS = 0.02
 POLL_SECONDS = 0.2
 RESEND_SECONDS = 0.3
+LOAD_PERIOD_SECONDS = 0.1
 QUIET_SECONDS, QUIET_SECONDS_MAX = 0.6, 3.0
 WATCH_SECONDS_MIN = 3.0
 KEPT_MAX = 500
@@ -70,7 +71,7 @@ class ObserverPorts:
 
 @dataclass
 class InterfaceObserver:
-    """One observation of one set of values; call `run` once, which lasts at most `seconds_max`."""
+    """One observation of one set of values; call `run` or `load` once, which lasts at most `seconds_max`."""
 
     expected: Sequence[ExpectedTopic]
     ports: ObserverPorts
@@ -88,14 +89,7 @@ class InterfaceObserver:
         """Open, send, watch. InputError when a message type of an input is not installed here."""
         began = self.ports.monotonic()
         self._deadline = began + self.seconds_max
-        for place, topic in self._inputs():
-            if topic.medium == ROS:
-                # what the entry says that the input needs, and no more: one that asks for more gets nothing in the
-                # field either, and one that accepts what it is given shows itself as it is declared
-                sink = self.ports.network.advertise(
-                    topic.example, topic.type, topic.reliability, topic.durability, DEPTH
-                )
-                self._sinks[place] = sink
+        self._open()
         self._until(self._settled, self.bounds.settle)
         answers = tuple(self._ask(place, topic) for place, topic in self._inputs())
         self._until(lambda: self.ports.monotonic() >= began + WATCH_SECONDS_MIN, WATCH_SECONDS_MIN)
@@ -108,6 +102,37 @@ class InterfaceObserver:
             answers=answers,
             seconds=round(self.ports.monotonic() - began, 1),
         )
+
+    def load(self, seconds: float) -> Observation:
+        """Open, and send to every input again and again for `seconds`; nothing is observed of each."""
+        began = self.ports.monotonic()
+        self._deadline = began + self.seconds_max
+        self._open()
+        self._until(self._settled, self.bounds.settle)
+        due = self.ports.monotonic()
+        end = due + seconds
+
+        def over() -> bool:
+            nonlocal due
+            if self.ports.monotonic() >= due:
+                for place, topic in self._inputs():
+                    self._send(place, topic)
+                due += LOAD_PERIOD_SECONDS
+            return self.ports.monotonic() >= end
+
+        self._until(over, seconds)
+        return Observation(seconds=round(self.ports.monotonic() - began, 1))
+
+    def _open(self) -> None:
+        """Open what the inputs need."""
+        for place, topic in self._inputs():
+            if topic.medium == ROS:
+                # what the entry says that the input needs, and no more: one that asks for more gets nothing in the
+                # field either, and one that accepts what it is given shows itself as it is declared
+                sink = self.ports.network.advertise(
+                    topic.example, topic.type, topic.reliability, topic.durability, DEPTH
+                )
+                self._sinks[place] = sink
 
     def _inputs(self) -> Iterator[tuple[int, ExpectedTopic]]:
         return ((place, topic) for place, topic in enumerate(self.expected) if topic.direction == IN)
