@@ -34,9 +34,10 @@ from robotkube.registry.publication.core.submissions import (
     publisher_place,
 )
 from robotkube.registry.publication.loops.application_verification import ApplicationVerification
+from robotkube.registry.publication.loops.chart_in_progress import ChartInProgress
 from robotkube.registry.publication.loops.publication import PublicationLoop
 from robotkube.registry.publication.loops.submission_reader import PublicationSettings, SubmissionInProgress
-from robotkube.registry.publication.loops.verification import ChartInProgress, ChartVerification, VerifyingSettings
+from robotkube.registry.publication.loops.verification import ChartVerification, VerifyingSettings
 from robotkube.registry.suites import run_process
 from robotkube.registry.suites.adapters.forked_runs import ForkedSuites
 from robotkube.registry.suites.adapters.runner_protocol import RUNS, RunsEndpoint, SuiteRunnerClient

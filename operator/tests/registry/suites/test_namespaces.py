@@ -170,6 +170,20 @@ def test_what_is_said_of_a_pod_that_never_gets_ready() -> None:
     ]
 
 
+@pytest.mark.parametrize("reason", ["ImagePullBackOff", "InvalidImageName", "CreateContainerConfigError"])
+def test_what_no_waiting_ends_fails_at_once(reason: str) -> None:
+    status = {"name": "main", "ready": False, "state": {"waiting": {"reason": reason, "message": "it is not there"}}}
+    api = MemoryNamespaceObjects(start=lambda pod: {"phase": "Pending", "containerStatuses": [status]})
+    test_namespace, clock = make_namespace(api)
+    test_namespace.apply([deployment()])
+    words = test_namespace.wait_ready("Deployment", "greeter", 60)
+    assert clock.now < 2
+    assert words.splitlines()[:2] == [
+        "Deployment greeter cannot get ready",
+        f"pod greeter-1: container main waits: {reason}: it is not there",
+    ]
+
+
 def test_what_is_said_when_no_pod_may_be_made() -> None:
     api = MemoryNamespaceObjects()
     test_namespace, _ = make_namespace(api)

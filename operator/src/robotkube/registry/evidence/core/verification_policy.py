@@ -22,6 +22,7 @@ API = "registry.robotkube.io/v1alpha1"
 KIND = "VerificationPolicy"
 PATH = "policies/verification.yaml"
 PLATFORM_SUITES = ("static", "images", "interface", "install")  # the others bring their own image
+PLAIN_SUITES = ("static", "images")  # they need no test namespace, and come first
 SUMMARY = "summary"  # the name of the summary's file next to those of the suites
 SUITES_MAX = 16
 SECONDS_MAX = 3600

@@ -29,6 +29,7 @@ from robotkube.registry.publication.core.report import CHECKING, REFUSED, UNCHAN
 from robotkube.registry.publication.core.submissions import KEYS, publication_files, publication_message
 from robotkube.registry.publication.loops.application_verification import ApplicationVerification
 from robotkube.registry.publication.loops.changes import ChangesOfPeople
+from robotkube.registry.publication.loops.chart_in_progress import ChartInProgress
 from robotkube.registry.publication.loops.report_comments import ReportComments
 from robotkube.registry.publication.loops.submission_reader import (
     PublicationSettings,
@@ -212,15 +213,25 @@ class PublicationLoop:
         if underway.tip != self._main.tip or underway.policy is None:
             self._reader.check(underway)
         if underway.policy is not None and not underway.problems:
-            for chart in underway.charts:
-                for result in self._verifying.ask(chart):
-                    self.statistics.count(result)
-                    log.info(
-                        "suite finished number=%d chart=%s suite=%s outcome=%s seconds=%.1f",
-                        *(underway.number, chart.chart.chart, result.suite, result.outcome, result.seconds),
-                    )
+            self._verify(underway)
         underway.waiting_for = self._policy_problem(underway) or self._approval_missing(underway, pull)
         self._decide(underway)
+
+    def _verify(self, underway: SubmissionInProgress) -> None:
+        """Go on with the suites. What one chart is refused for without a test namespace keeps all from holding one."""
+        for chart in underway.charts:
+            self._count(underway, chart, self._verifying.ask(chart))
+        if not _plainly_wrong(underway):
+            for chart in underway.charts:
+                self._count(underway, chart, self._verifying.start(chart))
+
+    def _count(self, underway: SubmissionInProgress, chart: ChartInProgress, results: Sequence[SuiteResult]) -> None:
+        for result in results:
+            self.statistics.count(result)
+            log.info(
+                "suite finished number=%d chart=%s suite=%s outcome=%s seconds=%.1f",
+                *(underway.number, chart.chart.chart, result.suite, result.outcome, result.seconds),
+            )
 
     def _begin(self, pull: PullRequest, commit: Commit, problems: list[str]) -> SubmissionInProgress:
         return SubmissionInProgress(pull.number, pull.author, commit, self._monotonic(), problems=problems)
@@ -246,7 +257,7 @@ class PublicationLoop:
             self._comments.report(underway, WAITING)
         elif underway.problems:
             self._refuse(underway)
-        elif any(chart.missing for chart in underway.charts):
+        elif any(chart.awaited(starting=not _plainly_wrong(underway)) for chart in underway.charts):
             self._comments.report(underway, CHECKING)
         elif not all(chart.passed for chart in underway.charts):
             self._refuse(underway)
@@ -313,6 +324,11 @@ class PublicationLoop:
             log.info("key published key=%s commit=%s", self._signer.key_id, commit[:12])
         else:
             self._key_written = bool(tip)
+
+
+def _plainly_wrong(underway: SubmissionInProgress) -> bool:
+    """Whether it will be refused for what needs no test namespace to be seen."""
+    return any(chart.plainly_wrong for chart in underway.charts)
 
 
 def publication_metrics(statistics: PublicationStatistics) -> Sequence[Series]:

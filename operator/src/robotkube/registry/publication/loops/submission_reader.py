@@ -31,7 +31,8 @@ from robotkube.registry.publication.core.submissions import (
     schema_text,
 )
 from robotkube.registry.publication.loops.application_verification import ApplicationVerification, TriedApplications
-from robotkube.registry.publication.loops.verification import ChartInProgress, ChartVerification
+from robotkube.registry.publication.loops.chart_in_progress import ChartInProgress
+from robotkube.registry.publication.loops.verification import ChartVerification
 from robotkube.registry.suites.core.requests import Replaced
 
 log = logging.getLogger(__name__)

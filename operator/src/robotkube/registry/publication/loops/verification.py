@@ -8,12 +8,10 @@ asks the runner for the rest.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 from robotkube.errors import InputError
 from robotkube.foundation.documents.core.digests import sha256
-from robotkube.registry.charts.core.packing import published_digest
 from robotkube.registry.charts.ports import ChartRegistry
 from robotkube.registry.evidence.core.statements import (
     ENVELOPE_MEDIA_TYPE,
@@ -21,9 +19,7 @@ from robotkube.registry.evidence.core.statements import (
     SUITE_ANNOTATION,
     SUITE_PREDICATE,
     SUMMARY_PREDICATE,
-    Artefact,
     Check,
-    Listing,
     SuiteResult,
     VerifiedStatement,
     assess,
@@ -31,71 +27,20 @@ from robotkube.registry.evidence.core.statements import (
     suite_statement,
     summary_statement,
 )
-from robotkube.registry.evidence.core.verification_policy import PATH, SUMMARY, SuiteRule, VerificationPolicy
+from robotkube.registry.evidence.core.verification_policy import (
+    PATH,
+    SUMMARY,
+    SuiteRule,
+)
 from robotkube.registry.evidence.ports import Signer, Verifier
-from robotkube.registry.publication.core.report import ChartReport, SuiteReport
-from robotkube.registry.publication.core.submissions import SubmittedChart, VerifiedChart
-from robotkube.registry.suites.core.requests import Replaced, SuiteRequest
+from robotkube.registry.publication.core.submissions import VerifiedChart
+from robotkube.registry.publication.loops.chart_in_progress import ChartInProgress
+from robotkube.registry.suites.core.requests import SuiteRequest
 from robotkube.registry.suites.ports.suites import SuiteRunner
 
 QUEUE_SECONDS_MAX = 3600.0  # a suite may wait this long for its turn
 MARGIN_SECONDS = 60.0  # beyond a rule's seconds, for the runner to clean up and report it
 ENVELOPES_READ_MAX = 200  # of one chart
-
-
-@dataclass
-class ChartInProgress:
-    """A chart of a submission while its suites run; suites by name. `attempt` is the submission's commit: a
-    failed suite runs again for another one. `kept` are statements that count already, `states`, `reasons` and `since`
-    (monotonic seconds) are of those that were asked of the runner, `signed` are envelopes made in this process."""
-
-    chart: SubmittedChart
-    schema: str
-    policy: VerificationPolicy
-    attempt: str
-    replaced: Replaced | None = None
-    kept: dict[str, tuple[bytes, VerifiedStatement]] = field(default_factory=dict)
-    summaries: list[tuple[bytes, VerifiedStatement]] = field(default_factory=list)
-    results: dict[str, SuiteResult] = field(default_factory=dict)
-    states: dict[str, str] = field(default_factory=dict)
-    reasons: dict[str, str] = field(default_factory=dict)
-    since: dict[str, float] = field(default_factory=dict)
-    signed: dict[str, bytes] = field(default_factory=dict)
-    evidence: str = ""
-
-    @property
-    def artefact(self) -> Artefact:
-        """What is verified."""
-        return self.chart.artefact
-
-    @property
-    def listing(self) -> Listing:
-        """Its listing in the catalogue."""
-        return Listing(published_digest(self.chart.spec, self.chart.images), sha256(self.schema.encode()))
-
-    @property
-    def missing(self) -> tuple[SuiteRule, ...]:
-        """Suites without a kept statement and without a result."""
-        return tuple(r for r in self.policy.suites if r.name not in self.kept and r.name not in self.results)
-
-    @property
-    def passed(self) -> bool:
-        """Whether every suite of the policy passed."""
-        return not self.missing and all(result.outcome == "passed" for result in self.results.values())
-
-    def report(self) -> ChartReport:
-        """As the comment shows it."""
-        return ChartReport(self.artefact, tuple(self._suite(rule) for rule in self.policy.suites), self.evidence)
-
-    def _suite(self, rule: SuiteRule) -> SuiteReport:
-        if rule.name in self.kept:
-            seconds = _kept_seconds(self.kept[rule.name][1])
-            return SuiteReport(rule.name, rule.version, "passed", seconds, note="kept result")
-        result = self.results.get(rule.name)
-        if result is None:
-            state = self.states.get(rule.name, "waiting")
-            return SuiteReport(rule.name, rule.version, state, note=self.reasons.get(rule.name, ""))
-        return SuiteReport(rule.name, rule.version, result.outcome, result.seconds, failed=result.failed)
 
 
 @dataclass(frozen=True)
@@ -161,12 +106,18 @@ class ChartVerification:
     # -- runs -----------------------------------------------------------------------------------------------------
 
     def ask(self, underway: ChartInProgress) -> Sequence[SuiteResult]:
-        """Ask the runner for every missing suite; the results that came now.
+        """Ask the runner for every missing suite that runs already or needs no test namespace; the results that came
+        now. UnavailableError when the runner does not answer: time does not count then."""
+        return self._ask_all(underway, underway.awaited(starting=False))
 
-        UnavailableError when the runner does not answer: time does not count then."""
+    def start(self, underway: ChartInProgress) -> Sequence[SuiteResult]:
+        """Ask the runner for suites that hold a test namespace for the first time; else as `ask`."""
+        return self._ask_all(underway, underway.startable())
+
+    def _ask_all(self, underway: ChartInProgress, rules: Sequence[SuiteRule]) -> Sequence[SuiteResult]:
         came = []
         try:
-            for rule in underway.missing:
+            for rule in rules:
                 result = self._ask(underway, rule)
                 if result is not None:
                     underway.results[rule.name] = result
@@ -287,14 +238,3 @@ def _checked(rule: SuiteRule, result: SuiteResult) -> SuiteResult:
 def _unfinished(rule: SuiteRule, check: str, problem: str) -> SuiteResult:
     fix = "submit again; if it stays so, ask who runs the platform (log of the suite-runner)"
     return SuiteResult(rule.name, rule.version, "unfinished", (Check(check, False, problem, fix),), 0.0)
-
-
-def _kept_seconds(statement: VerifiedStatement) -> float | None:
-    """How long the run took, as its statement says."""
-    configuration: Any = statement.statement.get("predicate", {}).get("configuration") or []
-    for item in configuration:
-        try:
-            return float(item["annotations"]["seconds"])
-        except (KeyError, TypeError, ValueError):
-            continue
-    return None

@@ -8,6 +8,12 @@ from typing import Any
 EVENTS_MAX = 5
 LOG_LINES_MAX = 12
 LINE_CHARACTERS_MAX = 300
+HOPELESS = frozenset(
+    [
+        *("CreateContainerConfigError", "ErrImageNeverPull", "ImageInspectError", "ImagePullBackOff"),
+        *("InvalidImageName", "SignatureValidationFailed"),
+    ]
+)  # reasons why a container waits that no waiting ends
 KILLED = 137  # 128 + SIGKILL
 
 Object = Mapping[str, Any]
@@ -26,6 +32,12 @@ def pod_ready(item: Object) -> bool:
     """Whether the pod's condition Ready is true."""
     conditions = (item.get("status") or {}).get("conditions") or ()
     return any(condition.get("type") == "Ready" and condition.get("status") == "True" for condition in conditions)
+
+
+def pod_hopeless(item: Object) -> bool:
+    """Whether a container waits for what will not come: its image, or a Secret that is not there."""
+    waiting = [((status.get("state") or {}).get("waiting") or {}) for status in container_statuses(item)]
+    return any(state.get("reason") in HOPELESS for state in waiting)
 
 
 def pod_ended(item: Object) -> bool:

@@ -143,11 +143,22 @@ class ClusterTestNamespace:
         return version
 
     def wait_ready(self, kind: str, name: str, seconds: float) -> str:
-        """Empty when it got ready in time, else what was seen."""
+        """Empty when it got ready in time, else what was seen; at once when waiting will not help."""
         judge = pod_descriptions.deployment_ready if kind == "Deployment" else pod_descriptions.pod_ready
-        if self._until(lambda: self._fits(kind, name, judge), seconds):
-            return ""
         lines = [f"{kind} {name} was not ready after {seconds:.0f} s"]
+
+        def decided() -> bool:
+            if self._fits(kind, name, judge):
+                lines.clear()
+            elif any(map(pod_descriptions.pod_hopeless, self._concerned(kind, name))):
+                lines[0] = f"{kind} {name} cannot get ready"
+            else:
+                return False
+            return True
+
+        self._until(decided, seconds)
+        if not lines:
+            return ""
         if kind == "Deployment":
             lines += pod_descriptions.describe_deployment(self._api.get(kind, name), name)
         lines += self._described(self._concerned(kind, name), kind, name)
