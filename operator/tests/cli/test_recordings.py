@@ -77,8 +77,14 @@ class Memory:
     def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
         return self.told
 
+    def manifests(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        return []
+
     def digest(self, volume: str, segment: str) -> tuple[str, int]:
         return "whole", 4000
+
+    def notes(self, volume: str, recording: str) -> Mapping[str, Sequence[str]]:
+        return {}
 
     def read(self, volume: str, place: SegmentPlace, size: int) -> bytes:
         if volume != "cloud-0/recordings":
@@ -269,3 +275,14 @@ def test_an_incomplete_recording_shows_its_table_and_ends_refused(
     out, err = capsys.readouterr()
     assert POSE in out
     assert err == "robotkube: differs\n"
+
+
+def test_a_recording_that_nothing_speaks_against_but_no_seal_proves_has_an_exit_code_of_its_own(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    memory = Memory()
+    table = cli_recordings.verified({"cloud-0": memory}, memory, NAME, [], None)
+    command = cli.Command("recording", "verify", "", lambda options: table)
+    monkeypatch.setattr(cli, "commands", lambda: [command])
+    assert cli.main(["recording", "verify"]) == cli.EXIT_UNPROVED == 4
+    assert f"robotkube: {NAME}: has no manifest: " in capsys.readouterr().err

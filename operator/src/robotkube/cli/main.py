@@ -20,6 +20,7 @@ EXIT_DONE = 0
 EXIT_REFUSED = 1
 EXIT_USAGE = 2
 EXIT_UNREACHABLE = 3
+EXIT_UNPROVED = 4
 
 
 @dataclass(frozen=True)
@@ -189,7 +190,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         write(table, options.output, sys.stdout)
         if table.refusal:
             print(f"robotkube: {table.refusal}", file=sys.stderr)
-            return EXIT_REFUSED
+        if table.reservation:
+            print(f"robotkube: {table.reservation}", file=sys.stderr)
+        return EXIT_REFUSED if table.refusal else EXIT_UNPROVED if table.reservation else EXIT_DONE
     return EXIT_DONE
 
 

@@ -76,8 +76,14 @@ class Memory:
             raise UnavailableError(f"{volume}: is away")
         return self.clouds[place.offset][2]
 
+    def manifests(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        return []
+
     def digest(self, volume: str, segment: str) -> tuple[str, int]:
         return "", 0
+
+    def notes(self, volume: str, recording: str) -> Mapping[str, Sequence[str]]:
+        return {}
 
 
 @pytest.fixture(scope="module")

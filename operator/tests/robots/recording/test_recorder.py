@@ -27,6 +27,7 @@ from robotkube.robots.recording.loops.recordings import Recordings
 from robotkube.robots.recording.ports import RecordingStore
 from robotkube.robots.ros.core.ring_buffers import Sample
 from robotkube.robots.ros.core.topic_patterns import TopicPattern
+from tests.stages.recording.seals import examined
 from tests.stages.waiting import until
 
 pytestmark = pytest.mark.toolchain
@@ -106,6 +107,8 @@ class Bench:
         assert comparison.complete, comparison
         assert comparison.topics[POSES].stored == 100 * seconds
         assert comparison.topics[CLOUDS].stored == 10 * seconds
+        seals = examined(self.reader, self.segments, RECORDING)
+        assert (seals.problems, seals.reservations) == ([], [])
 
 
 def counts(recordings: Recordings) -> RecorderCounts:

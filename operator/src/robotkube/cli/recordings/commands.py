@@ -25,6 +25,7 @@ from robotkube.robots.recording.core.documents import SEGMENT, LedgerLine
 from robotkube.robots.recording.core.verification import TopicExamination, examine
 from robotkube.robots.recording.loops.reading import (
     audits,
+    begin_examination,
     first_stored,
     list_recordings,
     read_ledger,
@@ -41,6 +42,8 @@ COLUMNS = (
     "topic", "received", "stored", "missing", "gap_count", "published", "lost", "unexplained", "duplicates",
     "mismatches", "unknown", "unreadable", "complete",
 )  # fmt: skip
+
+MANIFEST_COLUMNS = ("writer", "volume", "sealed", "documents", "adopted")
 
 
 def listing(parser: argparse.ArgumentParser) -> None:
@@ -67,6 +70,14 @@ def verifying(parser: argparse.ArgumentParser) -> None:
     )
     add_segments(parser)
     parser.add_argument(
+        "--key",
+        action="append",
+        default=[],
+        metavar="HEX",
+        help="a key that may have sealed it, as the recorder's log said when it began; once per writer (default: what "
+        "is noted on the volumes)",
+    )
+    parser.add_argument(
         "--window",
         metavar="FIRST:LAST",
         help="stamps to compare, ns, both included (default: while all its large topics were stored)",
@@ -88,7 +99,7 @@ def verify_one(options: argparse.Namespace) -> Table:
     window = _window(options.window) if options.window else None
     segments = segments_of(options)
     folders = [Path(folder) for folder in options.ledgers]
-    return verified(readers_of(options), segments, options.recording, folders, window)
+    return verified(readers_of(options), segments, options.recording, folders, window, options.key)
 
 
 def listed(readers: Readers) -> Table:
@@ -118,7 +129,12 @@ def _sums(reader: RecordingReader, recording: str) -> dict[str, Any]:
 
 
 def verified(
-    readers: Readers, segments: SegmentReader, recording: str, folders: Sequence[Path], window: Window | None
+    readers: Readers,
+    segments: SegmentReader,
+    recording: str,
+    folders: Sequence[Path],
+    window: Window | None,
+    keys: Sequence[str] = (),
 ) -> Table:
     """The table of `recording verify`: a row per topic. `folders` hold `<topic with / as __>.jsonl`."""
     _, reader, document = find(readers, recording)
@@ -127,13 +143,17 @@ def verified(
     ledgers = _required_ledgers(folders, names, recording) if folders else {}
     covered = (window or _common(reader, recording, _large(document))) if ledgers else ALWAYS
     changed: list[str] = []
-    stored = stored_messages(reader, segments, recording, changed=changed.append)
+    seals = begin_examination(reader, segments, document, [key.lower() for key in keys])
+    stored = stored_messages(reader, segments, recording, changed=changed.append, seen=seals.check)
     topics = examine(stored, audited, ledgers, covered)
     text = f"{len(changed)} documents have other stamps or digests than they were stored with; the first: {changed[:1]}"
-    files = [*([text] if changed else []), *wrong_segments(reader, segments, recording)]
+    files = [*([text] if changed else []), *wrong_segments(reader, segments, recording), *seals.problems]
     missing = sorted(set(names) - set(ledgers)) if ledgers else []
     rows = [_examined(topic) for topic in topics]
-    return Table("topics", COLUMNS, rows, refusal=_refusal(document, topics, missing, files))
+    writers = Table("manifests", MANIFEST_COLUMNS, [manifest.row() for manifest in seals.manifests])
+    reserved = f"{recording}: {'; '.join(seals.reservations)}" if seals.reservations else ""
+    refusal = _refusal(document, topics, missing, files)
+    return Table("topics", COLUMNS, rows, refusal=refusal, reservation=reserved, more=[writers])
 
 
 def _large(document: Mapping[str, Any]) -> list[str]:
@@ -177,6 +197,9 @@ class _Explained:
 
     def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
         return self.reader.audits(recording)
+
+    def manifests(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        return self.reader.manifests(recording)
 
 
 def readers_of(options: argparse.Namespace) -> Readers:

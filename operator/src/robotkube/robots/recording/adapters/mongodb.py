@@ -15,13 +15,25 @@ from pymongo.database import Database
 from pymongo.errors import BulkWriteError
 
 from robotkube.foundation.database.adapters.connection import translated
-from robotkube.robots.recording.core.documents import AUDITS, INDEX, RECORDINGS, SAMPLES, SEGMENTS, Write
+from robotkube.robots.recording.core.documents import (
+    AUDITS,
+    INDEX,
+    MANIFESTS,
+    RECORDINGS,
+    SAMPLES,
+    SEGMENTS,
+    Write,
+)
 
 WRITE_BYTES_MAX = 8 * 1024 * 1024
 # FerretDB holds one of its 100 connections to a database per update until the whole command is answered: more than
 # that, by all recorders together, and it waits for itself for ever.
 UPDATES_AT_ONCE_MAX = 10
-_INDEXED = (SAMPLES, INDEX, SEGMENTS, AUDITS)
+_INDEXED = (SAMPLES, INDEX, SEGMENTS, AUDITS, MANIFESTS)
+_WHOLE = (INDEX, SEGMENTS, AUDITS, MANIFESTS)
+_WITHOUT_DATA = {
+    "recording": 1, "topic": 1, "second": 1, "samples.stamp": 1, "samples.received": 1, "samples.sha256": 1,
+}  # fmt: skip
 _DUPLICATE_KEY = 11000
 
 
@@ -45,9 +57,16 @@ class PymongoRecordingStore:
             for entry in self._database[INDEX].find({"recording": recording}, fields):
                 yield entry["topic"], entry["stamp"], entry["sha256"]
 
-    def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
-        """The recording's audits."""
-        return _audits(self._database, recording)
+    def documents(self, recording: str) -> Iterable[tuple[str, Mapping[str, Any]]]:
+        """Everything that the database has of the recording; samples without their data."""
+        with translated(f"reading recording {recording}"):
+            own = self._database[RECORDINGS].find_one({"_id": recording})
+            if own is None:
+                return  # as above
+            yield RECORDINGS, own
+            for collection, fields in ((SAMPLES, _WITHOUT_DATA), *((name, None) for name in _WHOLE)):
+                for document in self._database[collection].find({"recording": recording}, fields):
+                    yield collection, document
 
     def finished(self, volume: str) -> Collection[str]:
         """Paths of the volume's segments whose end is in `segments`."""
@@ -99,11 +118,6 @@ def _change(write: Write) -> dict[str, Any]:
     return {**change, "$addToSet": dict(write.add)} if write.add else change
 
 
-def _audits(database: Database[dict[str, Any]], recording: str) -> Sequence[Mapping[str, Any]]:
-    with translated(f"reading audits of {recording}"):
-        return list(database[AUDITS].find({"recording": recording}))
-
-
 def _parts(writes: Sequence[Write]) -> Iterator[list[Write]]:
     part: list[Write] = []
     size = 0
@@ -146,4 +160,10 @@ class PymongoRecordingReader:
 
     def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
         """The recording's audits."""
-        return _audits(self._database, recording)
+        with translated(f"reading audits of {recording}"):
+            return list(self._database[AUDITS].find({"recording": recording}))
+
+    def manifests(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        """The recording's manifests and their parts."""
+        with translated(f"reading the manifests of {recording}"):
+            return list(self._database[MANIFESTS].find({"recording": recording}))

@@ -6,13 +6,17 @@ Everything is computed from the stored bytes: small messages from the buckets, l
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from robotkube.errors import DocumentError, UnavailableError
 from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.robots.recording.core.audits import AuditSum, add_up
 from robotkube.robots.recording.core.documents import (
+    AUDITS,
+    INDEX,
+    SAMPLES,
+    SEGMENTS,
     LedgerComparison,
     LedgerLine,
     SegmentPlace,
@@ -21,6 +25,8 @@ from robotkube.robots.recording.core.documents import (
     compare,
     entry_is_whole,
 )
+from robotkube.robots.recording.core.seals import SealExamination
+from robotkube.robots.recording.core.writer_manifests import read_manifests
 from robotkube.robots.recording.ports import RecordingReader, SegmentReader
 
 
@@ -35,11 +41,14 @@ def stored_messages(
     recording: str,
     window: tuple[int, int] | None = None,
     changed: Callable[[str], None] = lambda _: None,
+    seen: Callable[[str, Mapping[str, Any]], None] = lambda _, __: None,
 ) -> Iterator[StoredMessage]:
     """Every stored message of a recording whose stamp is in `window`, with the hash of the bytes as they are now.
 
-    `changed` gets the `_id` of every document whose stamps or digests are not those that it was stored with."""
+    `changed` gets the `_id` of every document whose stamps or digests are not those that it was stored with, `seen`
+    the collection and the document of each."""
     for bucket in reader.buckets(recording):
+        seen(SAMPLES, bucket)
         if not bucket_is_whole(bucket):
             changed(bucket["_id"])
         for sample in bucket["samples"]:
@@ -48,6 +57,7 @@ def stored_messages(
                 digest = hashlib.sha256(data).hexdigest()
                 yield StoredMessage(bucket["topic"], sample["stamp"], digest, sample["sha256"], len(data))
     for entry in reader.index(recording):
+        seen(INDEX, entry)
         if not entry_is_whole(entry):
             changed(entry["_id"])
         if _within(entry["stamp"], window):
@@ -102,6 +112,31 @@ def wrong_segments(reader: RecordingReader, segments: SegmentReader, recording: 
         if digest != (entry["sha256"], entry["size"]):
             problems.append(f"{entry['volume']}: {entry['segment']}: is not the file that was finished")
     return problems
+
+
+def begin_examination(
+    reader: RecordingReader, segments: SegmentReader, document: Mapping[str, Any], keys: Collection[str] = ()
+) -> SealExamination:
+    """The examination of a recording's manifests, which has seen its audits and segments; `stored_messages` shows it
+    the rest. `document`: the recording's own."""
+    recording = str(document["_id"])
+    manifests = read_manifests(recording, reader.manifests(recording))
+    volumes = sorted({*(document.get("volumes") or ()), *(manifest.volume for manifest in manifests)} - {""})
+    notes = {volume: _notes(segments, volume, recording) for volume in volumes}
+    examination = SealExamination(document, manifests, notes, keys)
+    for audit in reader.audits(recording):
+        examination.check(AUDITS, audit)
+    for segment in reader.segments(recording):
+        examination.check(SEGMENTS, segment)
+    return examination
+
+
+def _notes(segments: SegmentReader, volume: str, recording: str) -> dict[int, Sequence[str]] | None:
+    try:
+        noted = segments.notes(volume, recording)
+    except UnavailableError:
+        return None
+    return {int(life): lines for life, lines in noted.items() if life.isdecimal()}
 
 
 def read_ledger(lines: Iterable[str], where: str) -> list[LedgerLine]:
