@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 import pytest
 
 from robotkube.cli import main as cli
-from robotkube.cli.output import Table
+from robotkube.cli.output import Table, write
 from robotkube.cli.recordings import commands as cli_recordings
 from robotkube.errors import InputError, RefusalError, UnavailableError
 from robotkube.robots.recording.core.documents import SegmentPlace
@@ -208,6 +209,37 @@ def test_without_ledgers_checksums_and_audits_are_proved() -> None:
     table = cli_recordings.verified({"cloud-0": memory}, memory, NAME, [], None)
     assert table.refusal == ""
     assert [(row["received"], row["stored"], row["published"]) for row in table.rows] == [(3, 3, None), (4, 4, None)]
+
+
+def test_what_was_received_is_the_sum_of_what_stands_beside_it() -> None:
+    """RECEIVED 218, STORED 208 and COMPLETE true, and nothing said that ten had come before the begin."""
+    memory = Memory()
+    gap = {"where": "queue", "why": "full", "count": 1, "first": 300, "last": 400}
+    memory.told[1] = audit(CLOUD, 16, stored=3, early=10, duplicates=2, dropped=1, gaps=[gap])
+    heading, *lines = written(cli_recordings.verified({"cloud-0": memory}, memory, NAME, [], None))
+    assert heading.split()[:7] == ["TOPIC", "RECEIVED", "STORED", "EARLY", "REPEATED", "DROPPED", "MISSING"]
+    received, stored, early, repeated, dropped = map(int, lines[0].split()[1:6])
+    assert (received, early, repeated, dropped) == (16, 10, 2, 1)
+    assert received == stored + early + repeated + dropped
+
+
+def test_the_list_accounts_for_everything_that_was_received() -> None:
+    memory = Memory()
+    memory.document["counts"] = {
+        "offered": 218, "early": 10, "dropped": 3, "duplicates": 2, "documents": 103, "segments": 100,
+    }  # fmt: skip
+    (row,) = cli_recordings.listed({"cloud-0": memory}).rows
+    names = ("documents", "segments", "early", "repeated", "dropped")
+    assert row["received"] == sum(row[name] for name in names) == 218
+    heading = written(cli_recordings.listed({"cloud-0": memory}))[0].lower().split()
+    assert {"received", *names} <= set(heading)
+
+
+def written(table: Table) -> list[str]:
+    """The lines that people get."""
+    stream = io.StringIO()
+    write(table, "table", stream)
+    return stream.getvalue().splitlines()
 
 
 def test_gaps_unexplained_losses_changed_files_and_open_recordings_are_refused() -> None:

@@ -39,10 +39,16 @@ Readers = Mapping[str, RecordingReader]
 Window = tuple[int, int]
 ALWAYS: Window = (0, 2**63 - 1)
 COLUMNS = (
-    "topic", "received", "stored", "missing", "gap_count", "published", "lost", "unexplained", "duplicates",
-    "mismatches", "unknown", "unreadable", "complete",
+    "topic", "received", "stored", "early", "repeated", "dropped", "missing", "gap_count", "published", "lost",
+    "unexplained", "duplicates", "mismatches", "unknown", "unreadable", "complete",
 )  # fmt: skip
 
+_COUNTS = {
+    "received": "offered", "documents": "documents", "segments": "segments", "early": "early",
+    "repeated": "duplicates", "dropped": "dropped",
+}  # fmt: skip
+"""Column of `recording list` -> the counter of the last writer. The first is the sum of the others, but for what was
+given up behind the recorder, which is counted twice then: among what was stored, and as dropped."""
 MANIFEST_COLUMNS = ("writer", "volume", "sealed", "documents", "adopted")
 
 
@@ -105,7 +111,10 @@ def verify_one(options: argparse.Namespace) -> Table:
 def listed(readers: Readers) -> Table:
     """The table of `recording list`."""
     rows = [_row(agent, document) for agent, reader in readers.items() for document in list_recordings(reader)]
-    columns = ("recording", "agent", "started", "seconds", "state", "documents", "segments", "dropped", "volumes")
+    columns = (
+        "recording", "agent", "started", "seconds", "state", "received", "documents", "segments", "early", "repeated",
+        "dropped", "volumes",
+    )  # fmt: skip
     return Table("recordings", columns, sorted(rows, key=lambda row: str(row["started"])))
 
 
@@ -255,7 +264,7 @@ def _row(agent: str, document: Mapping[str, Any]) -> dict[str, Any]:
         "ended": _time(ended),
         "seconds": round((ended - started) / 1e9, 1) if started and ended else None,
         "state": "ended" if ended else "open",
-        **{name: counts.get(name) for name in ("documents", "segments", "dropped")},
+        **{name: counts.get(key) for name, key in _COUNTS.items()},
         "volumes": list(document.get("volumes") or []),
     }
 
@@ -269,6 +278,7 @@ def _examined(topic: TopicExamination) -> dict[str, Any]:
         "received": audit.received if audit else None,
         "early": audit.early if audit else None,
         "repeated": audit.duplicates if audit else None,
+        "dropped": audit.dropped if audit else None,
         "stored": topic.stored,
         "missing": topic.missing if audit else None,
         "published": comparison.published if comparison else None,
