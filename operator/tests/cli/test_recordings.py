@@ -318,3 +318,24 @@ def test_a_recording_that_nothing_speaks_against_but_no_seal_proves_has_an_exit_
     monkeypatch.setattr(cli, "commands", lambda: [command])
     assert cli.main(["recording", "verify"]) == cli.EXIT_UNPROVED == 4
     assert f"robotkube: {NAME}: has no manifest: " in capsys.readouterr().err
+
+
+def test_ledgers_accuse_neither_padding_nor_a_stamp_of_reception(ledgers: Path) -> None:
+    """A topic of std_msgs/String: no header, and the middleware fills it up to a multiple of four bytes."""
+    memory = Memory()
+    published = [f"text {number:04}".encode() + b"." for number in range(len(STAMPS))]
+    lines: list[dict[str, Any]] = [
+        {"sequence": n, "stamp": STAMPS[n], "sha256": hashlib.sha256(data).hexdigest()}
+        for n, data in enumerate(published)
+    ]
+    text = "\n".join(json.dumps(one) for one in [*lines, {"end": True, "count": len(lines)}])
+    (ledgers / f"{POSE.replace('/', '__')}.jsonl").write_text(text)
+    padded = [data + bytes(2) for data in published]
+    memory.samples = [
+        {"stamp": s + 7, "received": s + 7, "sha256": hashlib.sha256(data).hexdigest(), "data": data}
+        for s, data in zip(STAMPS, padded, strict=True)
+    ]
+    table = verified(memory, ledgers, (200, 400))
+    assert table.refusal == ""
+    (row,) = [row for row in table.rows if row["topic"] == POSE]
+    assert (row["published"], row["lost"], row["unknown"], row["mismatches"]) == (3, 0, 0, 0)

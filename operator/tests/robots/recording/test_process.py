@@ -20,7 +20,7 @@ from robotkube.foundation.database.adapters.connection import DatabaseLogin, con
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
 from robotkube.robots.recording.adapters.mongodb import PymongoRecordingReader
 from robotkube.robots.recording.adapters.segments import McapSegmentReader
-from robotkube.robots.recording.core.documents import LedgerLine
+from robotkube.robots.recording.core.ledgers import LedgerLine
 from robotkube.robots.recording.loops.reading import first_stamps, read_ledger, stored_messages, verify
 from tests.stages.detector.process import PUBLISHER
 from tests.stages.programs import free_port

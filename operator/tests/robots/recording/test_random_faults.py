@@ -14,7 +14,8 @@ from collections.abc import Iterable, Mapping
 import pytest
 
 from robotkube.robots.recording.core.audits import KILLED, add_up
-from robotkube.robots.recording.core.documents import AUDITS, RECORDINGS, LedgerLine, Write
+from robotkube.robots.recording.core.documents import AUDITS, RECORDINGS, Write
+from robotkube.robots.recording.core.ledgers import LedgerLine
 from robotkube.robots.recording.core.manifests import is_journals
 from robotkube.robots.recording.core.verification import TopicExamination, examine
 from robotkube.robots.recording.loops.destinations import RecorderPlace, RecordingBounds

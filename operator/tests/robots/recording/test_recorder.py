@@ -17,7 +17,7 @@ from robotkube.foundation.database.adapters.connection import DatabaseLogin, con
 from robotkube.robots.recording.adapters.mongodb import PymongoRecordingReader, PymongoRecordingStore
 from robotkube.robots.recording.adapters.segments import McapSegmentReader
 from robotkube.robots.recording.adapters.volume_claim import MountedVolumeClaim
-from robotkube.robots.recording.core.documents import LedgerLine
+from robotkube.robots.recording.core.ledgers import LedgerLine
 from robotkube.robots.recording.core.plans import RecordedTopic, RecordingPlan
 from robotkube.robots.recording.loops import journal
 from robotkube.robots.recording.loops.counters import RecorderCounts

@@ -21,13 +21,15 @@ from robotkube.errors import DocumentError, InputError, RefusalError, Unavailabl
 from robotkube.foundation.database.adapters.connection import DatabaseLogin, connect
 from robotkube.robots.recording.adapters.mongodb import PymongoRecordingReader
 from robotkube.robots.recording.adapters.segments import McapSegmentReader
-from robotkube.robots.recording.core.documents import SEGMENT, LedgerLine
+from robotkube.robots.recording.core.documents import SEGMENT
+from robotkube.robots.recording.core.ledgers import LedgerLine
 from robotkube.robots.recording.core.verification import TopicExamination, examine
 from robotkube.robots.recording.loops.reading import (
     audits,
     begin_examination,
     first_stored,
     list_recordings,
+    published_digests,
     read_ledger,
     stored_messages,
     wrong_segments,
@@ -153,8 +155,10 @@ def verified(
     covered = (window or _common(reader, recording, _large(document))) if ledgers else ALWAYS
     changed: list[str] = []
     seals = begin_examination(reader, segments, document, [key.lower() for key in keys])
-    stored = stored_messages(reader, segments, recording, changed=changed.append, seen=seals.check)
-    topics = examine(stored, audited, ledgers, covered)
+    stored = stored_messages(
+        reader, segments, recording, changed=changed.append, seen=seals.check, published=published_digests(ledgers)
+    )
+    topics = examine(stored, audited, ledgers, covered, _latched(document))
     text = f"{len(changed)} documents have other stamps or digests than they were stored with; the first: {changed[:1]}"
     files = [*([text] if changed else []), *wrong_segments(reader, segments, recording), *seals.problems]
     missing = sorted(set(names) - set(ledgers)) if ledgers else []
@@ -167,6 +171,10 @@ def verified(
 
 def _large(document: Mapping[str, Any]) -> list[str]:
     return [name for name, topic in (document.get("topics") or {}).items() if topic["storage"] == SEGMENT]
+
+
+def _latched(document: Mapping[str, Any]) -> list[str]:
+    return [name for name, topic in (document.get("topics") or {}).items() if topic.get("latched")]
 
 
 def _required_ledgers(folders: Sequence[Path], topics: Sequence[str], recording: str) -> dict[str, list[LedgerLine]]:

@@ -17,17 +17,24 @@ from robotkube.robots.recording.core.documents import (
     INDEX,
     SAMPLES,
     SEGMENTS,
+    SegmentPlace,
+    bucket_is_whole,
+    entry_is_whole,
+)
+from robotkube.robots.recording.core.ledgers import (
+    LATENCY_NS_MAX,
     LedgerComparison,
     LedgerLine,
-    SegmentPlace,
     StoredMessage,
-    bucket_is_whole,
     compare,
-    entry_is_whole,
+    published_digest,
 )
 from robotkube.robots.recording.core.seals import SealExamination
 from robotkube.robots.recording.core.writer_manifests import read_manifests
 from robotkube.robots.recording.ports import RecordingReader, SegmentReader
+
+NOTHING: Mapping[str, Collection[str]] = {}
+"""No ledger."""
 
 
 def list_recordings(reader: RecordingReader) -> list[dict[str, Any]]:
@@ -42,26 +49,26 @@ def stored_messages(
     window: tuple[int, int] | None = None,
     changed: Callable[[str], None] = lambda _: None,
     seen: Callable[[str, Mapping[str, Any]], None] = lambda _, __: None,
+    published: Mapping[str, Collection[str]] = NOTHING,
 ) -> Iterator[StoredMessage]:
     """Every stored message of a recording whose stamp is in `window`, with the hash of the bytes as they are now.
 
     `changed` gets the `_id` of every document whose stamps or digests are not those that it was stored with, `seen`
-    the collection and the document of each."""
+    the collection and the document of each. `published`: topic -> the digests that its ledger has."""
     for bucket in reader.buckets(recording):
         seen(SAMPLES, bucket)
         if not bucket_is_whole(bucket):
             changed(bucket["_id"])
         for sample in bucket["samples"]:
-            if _within(sample["stamp"], window):
+            if _within(sample, window):
                 data = bytes(sample["data"])
-                digest = hashlib.sha256(data).hexdigest()
-                yield StoredMessage(bucket["topic"], sample["stamp"], digest, sample["sha256"], len(data))
+                yield _stored(bucket["topic"], sample, data, published)
     for entry in reader.index(recording):
         seen(INDEX, entry)
         if not entry_is_whole(entry):
             changed(entry["_id"])
-        if _within(entry["stamp"], window):
-            yield _large(segments, entry)
+        if _within(entry, window):
+            yield _large(segments, entry, published)
 
 
 def first_stored(reader: RecordingReader, recording: str) -> dict[str, int]:
@@ -89,7 +96,13 @@ def verify(
     window: tuple[int, int],
 ) -> LedgerComparison:
     """Compare the recording with the ledgers of its topics, within a window of stamps (ns, both ends included)."""
-    return compare(recording, ledgers, stored_messages(reader, segments, recording, window), window)
+    stored = stored_messages(reader, segments, recording, window, published=published_digests(ledgers))
+    return compare(recording, ledgers, stored, window)
+
+
+def published_digests(ledgers: Mapping[str, Sequence[LedgerLine]]) -> dict[str, Collection[str]]:
+    """Topic -> the digests of its ledger."""
+    return {topic: frozenset(line.sha256 for line in lines) for topic, lines in ledgers.items()}
 
 
 def audits(reader: RecordingReader, recording: str) -> dict[str, AuditSum]:
@@ -155,17 +168,29 @@ def read_ledger(lines: Iterable[str], where: str) -> list[LedgerLine]:
     raise DocumentError(where, ["has no end line: its player is still running or was killed"])
 
 
-def _within(stamp: int, window: tuple[int, int] | None) -> bool:
-    return window is None or window[0] <= stamp <= window[1]
+def _within(message: Mapping[str, Any], window: tuple[int, int] | None) -> bool:
+    """True for a stamp in the window; one without its own may have been due in it, and be received later."""
+    stamp = message["stamp"]
+    later = LATENCY_NS_MAX if stamp == message.get("received") else 0
+    return window is None or window[0] <= stamp <= window[1] + later
 
 
-def _large(segments: SegmentReader, entry: Mapping[str, Any]) -> StoredMessage:
+def _large(
+    segments: SegmentReader, entry: Mapping[str, Any], published: Mapping[str, Collection[str]]
+) -> StoredMessage:
     size = entry["size"]
-    problem = ""
-    digest = ""
     try:
         data = segments.read(entry["volume"], SegmentPlace(entry["segment"], entry["offset"]), size)
-        digest = hashlib.sha256(data).hexdigest()
     except UnavailableError as error:
-        problem = str(error)
-    return StoredMessage(entry["topic"], entry["stamp"], digest, entry["sha256"], size, problem)
+        return StoredMessage(entry["topic"], entry["stamp"], "", entry["sha256"], size, str(error))
+    return _stored(entry["topic"], entry, data, published)
+
+
+def _stored(
+    topic: str, message: Mapping[str, Any], data: bytes, published: Mapping[str, Collection[str]]
+) -> StoredMessage:
+    digest = hashlib.sha256(data).hexdigest()
+    known = published_digest(data, digest, published.get(topic, ()))
+    return StoredMessage(
+        topic, message["stamp"], digest, message["sha256"], len(data), "", message.get("received"), known
+    )
