@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 import pytest
 
 from robotkube.cli import main as cli
-from robotkube.cli.output import Table
+from robotkube.cli.output import Table, write
 from robotkube.cli.recordings import commands as cli_recordings
 from robotkube.errors import InputError, RefusalError, UnavailableError
 from robotkube.robots.recording.core.documents import SegmentPlace
@@ -77,8 +78,14 @@ class Memory:
     def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
         return self.told
 
+    def manifests(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        return []
+
     def digest(self, volume: str, segment: str) -> tuple[str, int]:
         return "whole", 4000
+
+    def notes(self, volume: str, recording: str) -> Mapping[str, Sequence[str]]:
+        return {}
 
     def read(self, volume: str, place: SegmentPlace, size: int) -> bytes:
         if volume != "cloud-0/recordings":
@@ -204,6 +211,37 @@ def test_without_ledgers_checksums_and_audits_are_proved() -> None:
     assert [(row["received"], row["stored"], row["published"]) for row in table.rows] == [(3, 3, None), (4, 4, None)]
 
 
+def test_what_was_received_is_the_sum_of_what_stands_beside_it() -> None:
+    """RECEIVED 218, STORED 208 and COMPLETE true, and nothing said that ten had come before the begin."""
+    memory = Memory()
+    gap = {"where": "queue", "why": "full", "count": 1, "first": 300, "last": 400}
+    memory.told[1] = audit(CLOUD, 16, stored=3, early=10, duplicates=2, dropped=1, gaps=[gap])
+    heading, *lines = written(cli_recordings.verified({"cloud-0": memory}, memory, NAME, [], None))
+    assert heading.split()[:7] == ["TOPIC", "RECEIVED", "STORED", "EARLY", "REPEATED", "DROPPED", "MISSING"]
+    received, stored, early, repeated, dropped = map(int, lines[0].split()[1:6])
+    assert (received, early, repeated, dropped) == (16, 10, 2, 1)
+    assert received == stored + early + repeated + dropped
+
+
+def test_the_list_accounts_for_everything_that_was_received() -> None:
+    memory = Memory()
+    memory.document["counts"] = {
+        "offered": 218, "early": 10, "dropped": 3, "duplicates": 2, "documents": 103, "segments": 100,
+    }  # fmt: skip
+    (row,) = cli_recordings.listed({"cloud-0": memory}).rows
+    names = ("documents", "segments", "early", "repeated", "dropped")
+    assert row["received"] == sum(row[name] for name in names) == 218
+    heading = written(cli_recordings.listed({"cloud-0": memory}))[0].lower().split()
+    assert {"received", *names} <= set(heading)
+
+
+def written(table: Table) -> list[str]:
+    """The lines that people get."""
+    stream = io.StringIO()
+    write(table, "table", stream)
+    return stream.getvalue().splitlines()
+
+
 def test_gaps_unexplained_losses_changed_files_and_open_recordings_are_refused() -> None:
     memory = Memory(ended=None)
     gap = {"where": "spool", "why": "disk full: 1.bson", "count": 2, "first": 300, "last": 400}
@@ -269,3 +307,35 @@ def test_an_incomplete_recording_shows_its_table_and_ends_refused(
     out, err = capsys.readouterr()
     assert POSE in out
     assert err == "robotkube: differs\n"
+
+
+def test_a_recording_that_nothing_speaks_against_but_no_seal_proves_has_an_exit_code_of_its_own(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    memory = Memory()
+    table = cli_recordings.verified({"cloud-0": memory}, memory, NAME, [], None)
+    command = cli.Command("recording", "verify", "", lambda options: table)
+    monkeypatch.setattr(cli, "commands", lambda: [command])
+    assert cli.main(["recording", "verify"]) == cli.EXIT_UNPROVED == 4
+    assert f"robotkube: {NAME}: has no manifest: " in capsys.readouterr().err
+
+
+def test_ledgers_accuse_neither_padding_nor_a_stamp_of_reception(ledgers: Path) -> None:
+    """A topic of std_msgs/String: no header, and the middleware fills it up to a multiple of four bytes."""
+    memory = Memory()
+    published = [f"text {number:04}".encode() + b"." for number in range(len(STAMPS))]
+    lines: list[dict[str, Any]] = [
+        {"sequence": n, "stamp": STAMPS[n], "sha256": hashlib.sha256(data).hexdigest()}
+        for n, data in enumerate(published)
+    ]
+    text = "\n".join(json.dumps(one) for one in [*lines, {"end": True, "count": len(lines)}])
+    (ledgers / f"{POSE.replace('/', '__')}.jsonl").write_text(text)
+    padded = [data + bytes(2) for data in published]
+    memory.samples = [
+        {"stamp": s + 7, "received": s + 7, "sha256": hashlib.sha256(data).hexdigest(), "data": data}
+        for s, data in zip(STAMPS, padded, strict=True)
+    ]
+    table = verified(memory, ledgers, (200, 400))
+    assert table.refusal == ""
+    (row,) = [row for row in table.rows if row["topic"] == POSE]
+    assert (row["published"], row["lost"], row["unknown"], row["mismatches"]) == (3, 0, 0, 0)

@@ -20,6 +20,7 @@ EXIT_DONE = 0
 EXIT_REFUSED = 1
 EXIT_USAGE = 2
 EXIT_UNREACHABLE = 3
+EXIT_UNPROVED = 4
 
 
 @dataclass(frozen=True)
@@ -192,10 +193,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return EXIT_REFUSED
     if table is not None:
         write(table, options.output, sys.stdout)
-        for problem, code in ((table.refusal, EXIT_REFUSED), (table.unreachable, EXIT_UNREACHABLE)):
+        problems = (
+            (table.refusal, EXIT_REFUSED),
+            (table.unreachable, EXIT_UNREACHABLE),
+            (table.reservation, EXIT_UNPROVED),
+        )
+        codes = [code for problem, code in problems if problem]
+        for problem, _ in problems:
             if problem:
                 print(f"robotkube: {problem}", file=sys.stderr)
-                return code
+        return codes[0] if codes else EXIT_DONE
     return EXIT_DONE
 
 

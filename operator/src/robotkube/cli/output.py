@@ -19,8 +19,9 @@ class Table:
     is the document.
 
     `text` is what people get in place of the table. `refusal`: why the command ends as refused although it has data to
-    show; empty when it does not. `unreachable`: likewise, what could not be asked. `more` are further tables: for
-    programs keys of the one document, for people what follows when it has rows.
+    show; empty when it does not. `unreachable`: likewise, what could not be asked. `reservation`: what it could not
+    prove, although nothing speaks against it. `more` are further tables: for programs keys of the one document, for
+    people what follows when it has rows.
     """
 
     name: str
@@ -29,6 +30,7 @@ class Table:
     single: bool = False
     refusal: str = ""
     unreachable: str = ""
+    reservation: str = ""
     text: str = ""
     more: Sequence[Table] = ()
 

@@ -16,6 +16,7 @@ from robotkube.errors import DocumentError, UnavailableError
 from robotkube.robots.recording.core.documents import (
     AUDITS,
     INDEX,
+    MANIFESTS,
     RECORDINGS,
     SAMPLES,
     SEGMENTS,
@@ -40,9 +41,11 @@ def nobody() -> None:
 
 @dataclass
 class RecordingDatabase:
-    """Collections by name, documents by `_id`; store and reader at once. `away`: it does not answer."""
+    """Collections by name, documents by `_id`; store and reader at once. `away`: it does not answer. `manifest_killer`:
+    called instead of `killer` before what is of manifests."""
 
     killer: Callable[[], None] = nobody
+    manifest_killer: Callable[[], None] = nobody
     away: bool = False
     collections: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
 
@@ -54,6 +57,16 @@ class RecordingDatabase:
         for entry in self.index(recording):
             yield entry["topic"], entry["stamp"], entry["sha256"]
 
+    def documents(self, recording: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
+        """As the port says."""
+        self.ping()
+        own = self.collections.get(RECORDINGS, {}).get(recording)
+        if own is not None:
+            yield RECORDINGS, dict(own)
+        for collection in (SAMPLES, INDEX, SEGMENTS, AUDITS, MANIFESTS):
+            for document in self._of(collection, recording):
+                yield collection, dict(document)
+
     def finished(self, volume: str) -> Collection[str]:
         """As the port says."""
         self.ping()
@@ -64,7 +77,7 @@ class RecordingDatabase:
         """Do all writes; the process may be killed between any two."""
         for write in writes:
             self.ping()
-            self.killer()
+            self.manifest_killer() if write.collection == MANIFESTS else self.killer()
             documents = self.collections.setdefault(write.collection, {})
             if not write.update:
                 documents.setdefault(write.id, {**write.document, "_id": write.id})
@@ -105,6 +118,10 @@ class RecordingDatabase:
         """As the port says."""
         return self._of(AUDITS, recording)
 
+    def manifests(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        """As the port says."""
+        return self._of(MANIFESTS, recording)
+
     def _of(self, collection: str, recording: str) -> list[Mapping[str, Any]]:
         self.ping()
         documents = self.collections.get(collection, {}).values()
@@ -125,10 +142,12 @@ class RecordingVolume:
     `forget_writers` does what the end of a process does to its locks."""
 
     killer: Callable[[], None] = nobody
+    manifest_killer: Callable[[], None] = nobody
     away: bool = False
     bytes_max: int = 1 << 60
     files: dict[str, _File] = field(default_factory=dict)
     batches: dict[str, tuple[list[Write], bool]] = field(default_factory=dict)
+    noted: dict[tuple[str, str], list[str]] = field(default_factory=dict)
     number: int = 0
 
     def forget_writers(self) -> None:
@@ -157,6 +176,16 @@ class RecordingVolume:
         """As the port says."""
         self.require()
         return MemoryRepair(self)
+
+    def note(self, recording: str, life: str, lines: Sequence[str]) -> None:
+        """As the port says."""
+        self.require(sum(map(len, lines)))
+        self.manifest_killer()
+        self.noted.setdefault((recording, life), []).extend(lines)
+
+    def notes(self, volume: str, recording: str) -> Mapping[str, Sequence[str]]:
+        """As the port of reading says."""
+        return {life: lines for (name, life), lines in self.noted.items() if name == recording}
 
     def read(self, volume: str, place: SegmentPlace, size: int) -> bytes:
         """As the port of reading says."""

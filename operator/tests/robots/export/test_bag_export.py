@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -76,8 +77,14 @@ class Memory:
             raise UnavailableError(f"{volume}: is away")
         return self.clouds[place.offset][2]
 
+    def manifests(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        return []
+
     def digest(self, volume: str, segment: str) -> tuple[str, int]:
         return "", 0
+
+    def notes(self, volume: str, recording: str) -> Mapping[str, Sequence[str]]:
+        return {}
 
 
 @pytest.fixture(scope="module")
@@ -243,3 +250,32 @@ def test_seconds_count_from_the_first_stamp_also_before_the_event(messages: Sequ
     assert first_stamp(memory, memory.document) == BEGIN - 7
     memory.gaps = []
     assert first_stamp(memory, memory.document) == BEGIN
+
+
+def test_an_export_of_a_recording_with_gaps_names_them(
+    messages: Sequence[Message], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    memory = Memory(messages)
+    pose, cloud = "/vehicles/vehicle_00/pose", "/vehicles/vehicle_01/lidar_center/pointcloud"
+    full = {"where": "queue", "why": "storing is too slow", "count": 3, "first": BEGIN + 10, "last": BEGIN + 30}
+    killed = {"where": "recorder", "why": "killed", "count": None, "first": BEGIN + 50, "last": BEGIN + 60}
+    numbers = {"received": 9, "stored": 6, "early": 0, "duplicates": 0, "dropped": 3, "closed": True}
+    memory.gaps = [
+        {"topic": pose, "window": [BEGIN, BEGIN + 90], "gaps": [killed, full], **numbers},
+        {"topic": cloud, "window": [BEGIN, BEGIN + 90], "gaps": [full], **numbers},
+    ]
+    selection = Selection((TopicPattern(pose),), BEGIN, BEGIN + 10**9)
+    table = exported(memory, memory, memory.document, tmp_path / "out", ExportRequest(selection))
+    (row,) = table.rows
+    assert (row["missing"], row["gap_count"], row["gaps"]) == (3, 2, [full, killed])
+    assert capsys.readouterr().err == (
+        f"robotkube: {pose}: 2 gaps, at least 3 messages missing; the first: queue: storing is too slow, stamps "
+        f"{BEGIN + 10} to {BEGIN + 30}; all in gaps.jsonl\n"
+    )
+    lines = [json.loads(line) for line in (tmp_path / "out" / "gaps.jsonl").read_text().splitlines()]
+    assert lines == [{"topic": pose, **full}, {"topic": pose, **killed}]
+    assert read_rosbag(tmp_path / "out"), "the folder is a bag all the same"
+    later = ExportRequest(Selection((TopicPattern(pose),), BEGIN + 10**9))
+    table = exported(memory, memory, memory.document, tmp_path / "later", later)
+    assert table.rows[0]["gap_count"] == 0
+    assert not (tmp_path / "later" / "gaps.jsonl").exists()

@@ -8,18 +8,24 @@ from dataclasses import replace
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robotkube.robots.recording.core.audits import add_up
 from robotkube.robots.recording.core.documents import (
     Duplicates,
-    LedgerLine,
     Received,
     SegmentMessage,
     SegmentPlace,
-    StoredMessage,
     bucket_documents,
-    compare,
-    compare_topic,
     index_document,
 )
+from robotkube.robots.recording.core.ledgers import (
+    LATENCY_NS_MAX,
+    LedgerLine,
+    StoredMessage,
+    compare,
+    compare_topic,
+    published_digest,
+)
+from robotkube.robots.recording.core.verification import examine
 from robotkube.robots.recording.loops.reading import read_ledger
 
 WINDOW = (100, 200)
@@ -154,3 +160,72 @@ def test_a_ledger_without_its_end_is_refused() -> None:
     ]:
         with pytest.raises(DocumentError, match=problem):
             read_ledger(lines, "x")
+
+
+@given(st.binary(max_size=40), st.integers(0, 5))
+def test_padding_of_the_middleware_is_no_other_message(data: bytes, zeros: int) -> None:
+    """Fast DDS gives a message of 10 bytes as one of 12, the last two zero."""
+    padded = data + bytes(zeros)
+    own, received = hashlib.sha256(data).hexdigest(), hashlib.sha256(padded).hexdigest()
+    fills = 0 < zeros <= 3 and len(padded) % 4 == 0
+    assert published_digest(padded, received, {own}) == (own if fills or not zeros else "")
+    assert published_digest(padded, received, {own, received}) == received
+    assert published_digest(padded, received, ()) == ""
+
+
+def test_a_padded_message_is_compared_without_its_padding() -> None:
+    message = replace(stored(150, "padded"), published_sha256=line(150).sha256)
+    assert compare_topic("/p", [line(150)], [message], WINDOW).complete
+    assert compare_topic("/p", [line(150)], [replace(message, published_sha256="")], WINDOW).mismatches == (150,)
+
+
+MS = 1_000_000
+PERIOD = 100 * MS
+
+
+def unstamped(due: int, latency: int, text: str) -> StoredMessage:
+    """A message without a header: its stamp is when it was received."""
+    value = digest(text)
+    return StoredMessage("/text", due + latency, value, value, 10, received=due + latency)
+
+
+@given(
+    st.lists(st.tuples(st.booleans(), st.integers(0, 250), st.sampled_from("abc")), min_size=1, max_size=30),
+    st.booleans(),
+)
+def test_messages_without_a_header_are_paired_by_what_they_say(
+    published: list[tuple[bool, int, str]], told: bool
+) -> None:
+    """Some are lost, some late; reception is later than what a ledger has, and no correct recording is accused."""
+    ledger = [LedgerLine(n, n * PERIOD, digest(text)) for n, (_, _, text) in enumerate(published)]
+    arrived = [(n, ms, text) for n, (lost, ms, text) in enumerate(published) if not lost]
+    messages = [unstamped(n * PERIOD, ms * MS + 1 + n, text) for n, ms, text in arrived]
+    lost = len(ledger) - len(messages)
+    gap = {"where": "queue", "why": "full", "count": lost, "first": 5, "last": 6}
+    audit = {
+        "topic": "/text", "received": len(ledger), "stored": len(messages), "early": 0, "duplicates": 0,
+        "dropped": lost if told else 0, "gaps": [gap] if told and lost else [], "closed": True,
+    }  # fmt: skip
+    (topic,) = examine(messages, add_up([audit]), {"/text": ledger}, (0, 10**12))
+    assert topic.comparison is not None
+    assert (topic.comparison.unknown, topic.comparison.mismatches) == ((), ())
+    assert len(topic.comparison.lost) == lost
+    if messages:
+        assert topic.unexplained == (0 if told else lost)
+        assert topic.complete == (lost == 0)
+
+
+def test_a_message_without_a_header_that_nobody_published_is_unknown() -> None:
+    ledger = [LedgerLine(0, PERIOD, digest("a"))]
+    for strange in (
+        unstamped(PERIOD, 5, "b"), unstamped(-LATENCY_NS_MAX, 0, "a"), unstamped(PERIOD, LATENCY_NS_MAX + 1, "a"),
+    ):  # fmt: skip
+        comparison = compare_topic("/text", ledger, [strange], (-(10**12), 10**12))
+        assert (comparison.unknown, len(comparison.lost)) == ((strange.stamp,), 1)
+
+
+def test_a_latched_message_without_a_header_may_come_again() -> None:
+    ledger = [LedgerLine(0, PERIOD, digest("a"))]
+    again = [unstamped(PERIOD, ms * MS, "a") for ms in (5, 50_000, 90_000)]
+    assert compare_topic("/text", ledger, again, (0, 10**12), latched=True).complete
+    assert len(compare_topic("/text", ledger, again, (0, 10**12)).unknown) == 2

@@ -20,10 +20,11 @@ from robotkube.foundation.database.adapters.connection import DatabaseLogin, con
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
 from robotkube.robots.recording.adapters.mongodb import PymongoRecordingReader
 from robotkube.robots.recording.adapters.segments import McapSegmentReader
-from robotkube.robots.recording.core.documents import LedgerLine
+from robotkube.robots.recording.core.ledgers import LedgerLine
 from robotkube.robots.recording.loops.reading import first_stamps, read_ledger, stored_messages, verify
 from tests.stages.detector.process import PUBLISHER
 from tests.stages.programs import free_port
+from tests.stages.recording.seals import examined
 from tests.stages.ros.ros_domains import domain as ros_domain
 from tests.stages.waiting import until
 
@@ -197,7 +198,9 @@ def test_a_killed_recorder_leaves_everything_acknowledged_readable(site: Site) -
     for topic in comparison.topics.values():
         assert (topic.duplicates, topic.mismatches, topic.unknown, topic.unreadable) == ((), (), (), ())
     assert kept <= {(m.topic, m.stamp, m.sha256) for m in stored_messages(site.reader, site.segments, RECORDING)}
-    assert len(list((site.folder / "claim" / RECORDING).iterdir())) == 2
+    assert len(list((site.folder / "claim" / RECORDING).glob("*.mcap"))) == 2
+    seals = examined(site.reader, site.segments, RECORDING)
+    assert (seals.problems, seals.reservations) == ([], []), "the second has sealed what the first had not"
 
 
 def published(site: Site) -> set[tuple[str, int, str]]:

@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 from robotkube.foundation.database.adapters.connection import DatabaseLogin, connect
 from robotkube.robots.recording.adapters.mongodb import PymongoRecordingReader
 from robotkube.robots.recording.adapters.segments import McapSegmentReader
-from robotkube.robots.recording.core.documents import LedgerLine
+from robotkube.robots.recording.core.ledgers import LedgerLine
 from robotkube.robots.recording.core.verification import examine
 from robotkube.robots.recording.loops.reading import audits, stored_messages, wrong_segments
 

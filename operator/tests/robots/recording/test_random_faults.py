@@ -14,7 +14,9 @@ from collections.abc import Iterable, Mapping
 import pytest
 
 from robotkube.robots.recording.core.audits import KILLED, add_up
-from robotkube.robots.recording.core.documents import AUDITS, RECORDINGS, LedgerLine, Write
+from robotkube.robots.recording.core.documents import AUDITS, RECORDINGS, Write
+from robotkube.robots.recording.core.ledgers import LedgerLine
+from robotkube.robots.recording.core.manifests import is_journals
 from robotkube.robots.recording.core.verification import TopicExamination, examine
 from robotkube.robots.recording.loops.destinations import RecorderPlace, RecordingBounds
 from robotkube.robots.recording.loops.journal import Journal
@@ -22,6 +24,7 @@ from robotkube.robots.recording.loops.reading import stored_messages, wrong_segm
 from robotkube.robots.recording.loops.recorder import Recorder
 from robotkube.testing.recordings import Killed, RecordingDatabase, RecordingVolume
 from tests.stages.examples import EXAMPLES
+from tests.stages.recording.seals import examined
 
 RECORDING, VOLUME = "task-1", "cloud-0/recordings"
 TOPICS = {"/pose": ("document", 10, 30), "/cloud": ("segment", 100, 900)}
@@ -70,8 +73,9 @@ class History:
     ) -> None:
         self.random, self.topics = random.Random(seed), topics  # noqa: S311 - not for secrets
         self.kind_of_journal = journal
-        self.database = RecordingDatabase(self.kill_now_and_then)
-        self.volume = RecordingVolume(self.kill_now_and_then)
+        self.of_manifests = random.Random(seed)  # noqa: S311 - one of its own: seeds from before go on as they did
+        self.database = RecordingDatabase(self.kill_now_and_then, self.kill_at_a_manifest)
+        self.volume = RecordingVolume(self.kill_now_and_then, self.kill_at_a_manifest)
         self.ledgers: dict[str, list[LedgerLine]] = {topic: [] for topic in topics}
         self.lives: dict[str, list[int]] = {topic: [] for topic in topics}
         self.offered = dict.fromkeys(topics, 0)
@@ -90,6 +94,10 @@ class History:
 
     def kill_now_and_then(self) -> None:
         if self.deadly and self.random.random() < 0.004:
+            raise Killed
+
+    def kill_at_a_manifest(self) -> None:
+        if self.deadly and self.of_manifests.random() < 0.02:
             raise Killed
 
     def begin(self) -> None:
@@ -194,6 +202,20 @@ def assert_explained(history: History) -> None:
             assert topic.audit.received - topic.audit.dropped - topic.audit.duplicates == topic.stored
     assert not wrong_segments(history.database, history.volume, RECORDING)
     assert all(audit["closed"] for audit in history.database.audits(RECORDING))
+    assert_sealed(history)
+
+
+def assert_sealed(history: History) -> None:
+    """What is there is what its writers sealed; what is not, the journal gave up, and says so."""
+    if RECORDING not in history.database.collections.get(RECORDINGS, {}):
+        return
+    seals = examined(history.database, history.volume, RECORDING)
+    assert (seals.changed, seals.unknown) == ([], [])
+    given_up = {audit["topic"] for audit in history.database.audits(RECORDING) if is_journals(audit)}
+    assert {topic for _, topic in seals.missing} <= given_up
+    others = [problem for problem in seals.problems if not problem.endswith("messages of it")]
+    assert others == []
+    assert seals.reservations == []
 
 
 def check(seed: int, topics: Mapping[str, tuple[str, int, int]] = TOPICS) -> History:

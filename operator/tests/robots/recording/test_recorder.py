@@ -17,7 +17,7 @@ from robotkube.foundation.database.adapters.connection import DatabaseLogin, con
 from robotkube.robots.recording.adapters.mongodb import PymongoRecordingReader, PymongoRecordingStore
 from robotkube.robots.recording.adapters.segments import McapSegmentReader
 from robotkube.robots.recording.adapters.volume_claim import MountedVolumeClaim
-from robotkube.robots.recording.core.documents import LedgerLine
+from robotkube.robots.recording.core.ledgers import LedgerLine
 from robotkube.robots.recording.core.plans import RecordedTopic, RecordingPlan
 from robotkube.robots.recording.loops import journal
 from robotkube.robots.recording.loops.counters import RecorderCounts
@@ -27,6 +27,7 @@ from robotkube.robots.recording.loops.recordings import Recordings
 from robotkube.robots.recording.ports import RecordingStore
 from robotkube.robots.ros.core.ring_buffers import Sample
 from robotkube.robots.ros.core.topic_patterns import TopicPattern
+from tests.stages.recording.seals import examined
 from tests.stages.waiting import until
 
 pytestmark = pytest.mark.toolchain
@@ -106,6 +107,8 @@ class Bench:
         assert comparison.complete, comparison
         assert comparison.topics[POSES].stored == 100 * seconds
         assert comparison.topics[CLOUDS].stored == 10 * seconds
+        seals = examined(self.reader, self.segments, RECORDING)
+        assert (seals.problems, seals.reservations) == ([], [])
 
 
 def counts(recordings: Recordings) -> RecorderCounts:

@@ -15,6 +15,7 @@ from robotkube.errors import UnavailableError
 from robotkube.robots.bags.adapters.writing import BagWriter
 from robotkube.robots.bags.core.playback import BagTopic
 from robotkube.robots.recording.adapters.segments import McapRepair, McapSegmentReader, McapSegments
+from robotkube.robots.recording.adapters.volume_claim import MountedVolumeClaim
 from robotkube.robots.recording.core.documents import Received, SegmentPlace
 from robotkube.robots.recording.loops.segment_repair import repair_segments
 from robotkube.robots.ros.adapters.installed_definitions import definition
@@ -228,3 +229,20 @@ def test_finished_segments_do_not_crowd_out_the_others(
 def test_a_message_that_no_segment_can_hold_is_named(open_segments: Callable[..., McapSegments]) -> None:
     with pytest.raises(ValueError, match="/cloud: its stamp -1 is none"):
         open_segments().append([(message(1), CLOUD), (Received("/cloud", -1, 5, "", b""), CLOUD)])
+
+
+def test_what_a_writer_notes_stands_beside_its_segments(tmp_path: Path) -> None:
+    volume = "cloud-0/recordings"
+    claim = MountedVolumeClaim(tmp_path, "owner", lambda: 7)
+    reader = McapSegmentReader({volume: tmp_path})
+    assert reader.notes(volume, "task-1") == {}
+    claim.note("task-1", "7", ["begun"])
+    claim.note("task-1", "7", ["sealed", "again"])
+    claim.note("task-1", "8", ["begun"])
+    claim.note("task-2", "9", ["begun"])
+    assert reader.notes(volume, "task-1") == {"7": ["begun", "sealed", "again"], "8": ["begun"]}
+    assert not claim.repairs().unfinished(()), "notes are no segments"
+    with pytest.raises(UnavailableError, match="not within reach"):
+        McapSegmentReader({}).notes(volume, "task-1")
+    with pytest.raises(UnavailableError, match="leads out of the volume"):
+        reader.notes(volume, "../..")

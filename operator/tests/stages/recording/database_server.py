@@ -6,6 +6,7 @@ import os
 import socket
 import subprocess
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -59,11 +60,15 @@ class DatabaseServer:
             self.process = None
 
     def client(
-        self, user: str | None = SETUP_USER, password: str = SETUP_PASSWORD, database: str = "admin"
+        self,
+        user: str | None = SETUP_USER,
+        password: str = SETUP_PASSWORD,
+        database: str = "admin",
+        event_listeners: Sequence[Any] = (),
     ) -> pymongo.MongoClient[dict[str, Any]]:
         account: dict[str, Any] = {"username": user, "password": password, "authSource": database} if user else {}
         client: pymongo.MongoClient[dict[str, Any]] = pymongo.MongoClient(
-            "127.0.0.1", self.port, serverSelectionTimeoutMS=5000, **account
+            "127.0.0.1", self.port, serverSelectionTimeoutMS=5000, event_listeners=event_listeners, **account
         )
         self.clients.append(client)
         return client

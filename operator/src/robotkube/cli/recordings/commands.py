@@ -21,12 +21,15 @@ from robotkube.errors import DocumentError, InputError, RefusalError, Unavailabl
 from robotkube.foundation.database.adapters.connection import DatabaseLogin, connect
 from robotkube.robots.recording.adapters.mongodb import PymongoRecordingReader
 from robotkube.robots.recording.adapters.segments import McapSegmentReader
-from robotkube.robots.recording.core.documents import SEGMENT, LedgerLine
+from robotkube.robots.recording.core.documents import SEGMENT
+from robotkube.robots.recording.core.ledgers import LedgerLine
 from robotkube.robots.recording.core.verification import TopicExamination, examine
 from robotkube.robots.recording.loops.reading import (
     audits,
+    begin_examination,
     first_stored,
     list_recordings,
+    published_digests,
     read_ledger,
     stored_messages,
     wrong_segments,
@@ -38,9 +41,17 @@ Readers = Mapping[str, RecordingReader]
 Window = tuple[int, int]
 ALWAYS: Window = (0, 2**63 - 1)
 COLUMNS = (
-    "topic", "received", "stored", "missing", "gap_count", "published", "lost", "unexplained", "duplicates",
-    "mismatches", "unknown", "unreadable", "complete",
+    "topic", "received", "stored", "early", "repeated", "dropped", "missing", "gap_count", "published", "lost",
+    "unexplained", "duplicates", "mismatches", "unknown", "unreadable", "complete",
 )  # fmt: skip
+
+_COUNTS = {
+    "received": "offered", "documents": "documents", "segments": "segments", "early": "early",
+    "repeated": "duplicates", "dropped": "dropped",
+}  # fmt: skip
+"""Column of `recording list` -> the counter of the last writer. The first is the sum of the others, but for what was
+given up behind the recorder, which is counted twice then: among what was stored, and as dropped."""
+MANIFEST_COLUMNS = ("writer", "volume", "sealed", "documents", "adopted")
 
 
 def listing(parser: argparse.ArgumentParser) -> None:
@@ -67,6 +78,14 @@ def verifying(parser: argparse.ArgumentParser) -> None:
     )
     add_segments(parser)
     parser.add_argument(
+        "--key",
+        action="append",
+        default=[],
+        metavar="HEX",
+        help="a key that may have sealed it, as the recorder's log said when it began; once per writer (default: what "
+        "is noted on the volumes)",
+    )
+    parser.add_argument(
         "--window",
         metavar="FIRST:LAST",
         help="stamps to compare, ns, both included (default: while all its large topics were stored)",
@@ -88,13 +107,16 @@ def verify_one(options: argparse.Namespace) -> Table:
     window = _window(options.window) if options.window else None
     segments = segments_of(options)
     folders = [Path(folder) for folder in options.ledgers]
-    return verified(readers_of(options), segments, options.recording, folders, window)
+    return verified(readers_of(options), segments, options.recording, folders, window, options.key)
 
 
 def listed(readers: Readers) -> Table:
     """The table of `recording list`."""
     rows = [_row(agent, document) for agent, reader in readers.items() for document in list_recordings(reader)]
-    columns = ("recording", "agent", "started", "seconds", "state", "documents", "segments", "dropped", "volumes")
+    columns = (
+        "recording", "agent", "started", "seconds", "state", "received", "documents", "segments", "early", "repeated",
+        "dropped", "volumes",
+    )  # fmt: skip
     return Table("recordings", columns, sorted(rows, key=lambda row: str(row["started"])))
 
 
@@ -118,7 +140,12 @@ def _sums(reader: RecordingReader, recording: str) -> dict[str, Any]:
 
 
 def verified(
-    readers: Readers, segments: SegmentReader, recording: str, folders: Sequence[Path], window: Window | None
+    readers: Readers,
+    segments: SegmentReader,
+    recording: str,
+    folders: Sequence[Path],
+    window: Window | None,
+    keys: Sequence[str] = (),
 ) -> Table:
     """The table of `recording verify`: a row per topic. `folders` hold `<topic with / as __>.jsonl`."""
     _, reader, document = find(readers, recording)
@@ -127,17 +154,27 @@ def verified(
     ledgers = _required_ledgers(folders, names, recording) if folders else {}
     covered = (window or _common(reader, recording, _large(document))) if ledgers else ALWAYS
     changed: list[str] = []
-    stored = stored_messages(reader, segments, recording, changed=changed.append)
-    topics = examine(stored, audited, ledgers, covered)
+    seals = begin_examination(reader, segments, document, [key.lower() for key in keys])
+    stored = stored_messages(
+        reader, segments, recording, changed=changed.append, seen=seals.check, published=published_digests(ledgers)
+    )
+    topics = examine(stored, audited, ledgers, covered, _latched(document))
     text = f"{len(changed)} documents have other stamps or digests than they were stored with; the first: {changed[:1]}"
-    files = [*([text] if changed else []), *wrong_segments(reader, segments, recording)]
+    files = [*([text] if changed else []), *wrong_segments(reader, segments, recording), *seals.problems]
     missing = sorted(set(names) - set(ledgers)) if ledgers else []
     rows = [_examined(topic) for topic in topics]
-    return Table("topics", COLUMNS, rows, refusal=_refusal(document, topics, missing, files))
+    writers = Table("manifests", MANIFEST_COLUMNS, [manifest.row() for manifest in seals.manifests])
+    reserved = f"{recording}: {'; '.join(seals.reservations)}" if seals.reservations else ""
+    refusal = _refusal(document, topics, missing, files)
+    return Table("topics", COLUMNS, rows, refusal=refusal, reservation=reserved, more=[writers])
 
 
 def _large(document: Mapping[str, Any]) -> list[str]:
     return [name for name, topic in (document.get("topics") or {}).items() if topic["storage"] == SEGMENT]
+
+
+def _latched(document: Mapping[str, Any]) -> list[str]:
+    return [name for name, topic in (document.get("topics") or {}).items() if topic.get("latched")]
 
 
 def _required_ledgers(folders: Sequence[Path], topics: Sequence[str], recording: str) -> dict[str, list[LedgerLine]]:
@@ -177,6 +214,9 @@ class _Explained:
 
     def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
         return self.reader.audits(recording)
+
+    def manifests(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        return self.reader.manifests(recording)
 
 
 def readers_of(options: argparse.Namespace) -> Readers:
@@ -232,7 +272,7 @@ def _row(agent: str, document: Mapping[str, Any]) -> dict[str, Any]:
         "ended": _time(ended),
         "seconds": round((ended - started) / 1e9, 1) if started and ended else None,
         "state": "ended" if ended else "open",
-        **{name: counts.get(name) for name in ("documents", "segments", "dropped")},
+        **{name: counts.get(key) for name, key in _COUNTS.items()},
         "volumes": list(document.get("volumes") or []),
     }
 
@@ -246,6 +286,7 @@ def _examined(topic: TopicExamination) -> dict[str, Any]:
         "received": audit.received if audit else None,
         "early": audit.early if audit else None,
         "repeated": audit.duplicates if audit else None,
+        "dropped": audit.dropped if audit else None,
         "stored": topic.stored,
         "missing": topic.missing if audit else None,
         "published": comparison.published if comparison else None,

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -27,6 +28,7 @@ from robotkube.robots.export.loops.bag_export import (
     Export,
     Selection,
     first_stamp,
+    gaps_of,
     prepare,
     write,
 )
@@ -34,12 +36,14 @@ from robotkube.robots.export.loops.labelling import POSES_DEFAULT, LabellingCoun
 from robotkube.robots.recording.ports import RecordingReader, SegmentReader
 from robotkube.robots.ros.adapters.installed_definitions import definition
 from robotkube.robots.ros.core.cdr_readers.readers import Layouts
+from robotkube.robots.ros.core.gaps import Gap
 from robotkube.robots.ros.core.topic_patterns import TopicPattern
 
 MCAP = "mcap"
 ROSBAG2 = "rosbag2"
 DATASET = "dataset"
-COLUMNS = ("topic", "type", "messages", "left_out")
+GAPS = "gaps.jsonl"
+COLUMNS = ("topic", "type", "messages", "left_out", "missing", "gap_count")
 SECONDS_MAX = 10**9
 NANOSECONDS = 1_000_000_000
 
@@ -142,12 +146,33 @@ def exported(
             with closing(TemporaryStagingFile(Path(own))) as staging:
                 prepared = prepare(reader, recording, wanted.selection, staging)
                 counts = _write(prepared, segments, staging, partial, recording, wanted)
+            gaps = gaps_of(reader, str(recording["_id"]), wanted.selection)
+            _write_gaps(partial, gaps)
             if labels is not None:
                 write_dataset(partial, partial / DATASET, str(recording["_id"]), labels, wanted.poses, _say)
             partial.rename(folder)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error}") from error
-    return _table(prepared, counts)
+    return _table(prepared, counts, gaps)
+
+
+def _write_gaps(folder: Path, gaps: Sequence[Gap]) -> None:
+    """Say what is missing in the recording, one line for each topic, and write each gap beside the bag."""
+    if not gaps:
+        return
+    lines = [json.dumps({"topic": gap.topic, **gap.document()}) for gap in gaps]
+    (folder / GAPS).write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+    for topic in dict.fromkeys(gap.topic for gap in gaps):
+        known = [gap for gap in gaps if gap.topic == topic]
+        first = known[0]
+        where = f"{first.where}: {first.why}, stamps {first.first} to {first.last}"
+        _say(f"{topic}: {len(known)} gaps, {_missing(known)} messages missing; the first: {where}; all in {GAPS}")
+
+
+def _missing(gaps: Sequence[Gap]) -> str:
+    """How many messages are missing; of a killed recorder nobody knows."""
+    count = sum(gap.count or 0 for gap in gaps)
+    return f"at least {count}" if any(gap.count is None for gap in gaps) else str(count)
 
 
 def write_dataset(
@@ -206,13 +231,17 @@ def _write(
         return writer.counts
 
 
-def _table(prepared: Export, counts: Mapping[str, int]) -> Table:
+def _table(prepared: Export, counts: Mapping[str, int], gaps: Sequence[Gap]) -> Table:
+    by_topic = {topic.name: [gap for gap in gaps if gap.topic == topic.name] for topic in prepared.topics}
     rows = [
         {
             "topic": topic.name,
             "type": topic.type,
             "messages": counts[topic.name],
             "left_out": prepared.left_out[topic.name],
+            "missing": sum(gap.count or 0 for gap in by_topic[topic.name]),
+            "gap_count": len(by_topic[topic.name]),
+            "gaps": [gap.document() for gap in by_topic[topic.name]],
         }
         for topic in prepared.topics
     ]

@@ -21,8 +21,8 @@ class RecordingStore(Protocol):
         """Topic, stamp and SHA-256 of every message that is stored already."""
         ...
 
-    def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
-        """The documents of `audits` that belong to the recording."""
+    def documents(self, recording: str) -> Iterable[tuple[str, Mapping[str, Any]]]:
+        """Collection and document of everything that the database has of the recording; samples without their data."""
         ...
 
     def finished(self, volume: str) -> Collection[str]:
@@ -64,6 +64,10 @@ class RecordingReader(Protocol):
 
     def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
         """The documents of `audits` that belong to the recording."""
+        ...
+
+    def manifests(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        """The documents of `manifests` that belong to the recording: manifests and their parts."""
         ...
 
 
@@ -121,6 +125,11 @@ class SegmentReader(Protocol):
         """SHA-256 and size of the whole file; UnavailableError as `read`."""
         ...
 
+    def notes(self, volume: str, recording: str) -> Mapping[str, Sequence[str]]:
+        """The lines that writers of the recording have noted on the volume, by their lives; UnavailableError when the
+        volume is not within reach."""
+        ...
+
 
 @dataclass(frozen=True)
 class Batch:
@@ -169,4 +178,8 @@ class WritableVolume(Protocol):
 
     def repairs(self) -> SegmentRepair:
         """The repair of files whose writers are gone."""
+        ...
+
+    def note(self, recording: str, life: str, lines: Sequence[str]) -> None:
+        """Note lines for a writer of the recording, behind those that are there; returns when they are on the disk."""
         ...

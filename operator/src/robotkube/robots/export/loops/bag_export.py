@@ -14,9 +14,10 @@ from typing import Any, NamedTuple, Protocol
 
 from robotkube.errors import InputError, UnavailableError
 from robotkube.robots.bags.core.playback import BagTopic
+from robotkube.robots.recording.core.audits import add_up
 from robotkube.robots.recording.core.documents import SegmentPlace
 from robotkube.robots.recording.ports import RecordingReader, SegmentReader
-from robotkube.robots.ros.core.gaps import Interval
+from robotkube.robots.ros.core.gaps import Gap, Interval
 from robotkube.robots.ros.core.topic_patterns import TopicPattern
 
 MESSAGES_MAX = 20_000_000
@@ -118,6 +119,14 @@ def prepare(
     entries = list(reversed(once.values()))
     names = sorted({entry.topic for entry in entries})
     return Export([recorded.topic(name) for name in names], entries)
+
+
+def gaps_of(reader: RecordingReader, recording: str, selection: Selection) -> list[Gap]:
+    """The gaps that the recording's audits know of in what is chosen, by topic and oldest first."""
+    sums = add_up(reader.audits(recording))
+    gaps = [gap for topic, audit in sums.items() if selection.has(topic) for gap in audit.gaps]
+    chosen = [gap for gap in gaps if gap.last >= selection.first and gap.first <= selection.last]
+    return sorted(chosen, key=lambda gap: (gap.topic, gap.first, gap.last))
 
 
 def write(export: Export, segments: SegmentReader, staging: StagingFile, target: Target) -> None:

@@ -15,13 +15,32 @@ from pymongo.database import Database
 from pymongo.errors import BulkWriteError
 
 from robotkube.foundation.database.adapters.connection import translated
-from robotkube.robots.recording.core.documents import AUDITS, INDEX, RECORDINGS, SAMPLES, SEGMENTS, Write
+from robotkube.robots.recording.core.documents import (
+    AUDITS,
+    BUCKET_BYTES_MAX,
+    INDEX,
+    MANIFESTS,
+    RECORDINGS,
+    SAMPLES,
+    SEGMENTS,
+    Write,
+)
 
 WRITE_BYTES_MAX = 8 * 1024 * 1024
+ANSWER_BYTES_MAX = 4 * 1024 * 1024
+# An answer of the database has a bound of time, and FerretDB needs 60 ms for a bucket of 512 KiB, whatever is asked of
+# it, ten times that on a loaded machine: so each answer has few documents, and few of those that may be large.
+_AT_ONCE = {
+    SAMPLES: ANSWER_BYTES_MAX // BUCKET_BYTES_MAX, INDEX: 200, SEGMENTS: 200, AUDITS: 50, MANIFESTS: 20,
+}  # fmt: skip
 # FerretDB holds one of its 100 connections to a database per update until the whole command is answered: more than
 # that, by all recorders together, and it waits for itself for ever.
 UPDATES_AT_ONCE_MAX = 10
-_INDEXED = (SAMPLES, INDEX, SEGMENTS, AUDITS)
+_INDEXED = (SAMPLES, INDEX, SEGMENTS, AUDITS, MANIFESTS)
+_WHOLE = (INDEX, SEGMENTS, AUDITS, MANIFESTS)
+_WITHOUT_DATA = {
+    "recording": 1, "topic": 1, "second": 1, "samples.stamp": 1, "samples.received": 1, "samples.sha256": 1,
+}  # fmt: skip
 _DUPLICATE_KEY = 11000
 
 
@@ -38,16 +57,23 @@ class PymongoRecordingStore:
             if self._database[RECORDINGS].find_one({"_id": recording}, {"_id": 1}) is None:
                 return  # it is written before all else; not every server finds the rest without reading everything
             fields = {"topic": 1, "samples.stamp": 1, "samples.sha256": 1}
-            for bucket in self._database[SAMPLES].find({"recording": recording}, fields):
+            for bucket in _of(self._database, SAMPLES, recording, fields):
                 for sample in bucket["samples"]:
                     yield bucket["topic"], sample["stamp"], sample["sha256"]
             fields = {"topic": 1, "stamp": 1, "sha256": 1}
-            for entry in self._database[INDEX].find({"recording": recording}, fields):
+            for entry in _of(self._database, INDEX, recording, fields):
                 yield entry["topic"], entry["stamp"], entry["sha256"]
 
-    def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
-        """The recording's audits."""
-        return _audits(self._database, recording)
+    def documents(self, recording: str) -> Iterable[tuple[str, Mapping[str, Any]]]:
+        """Everything that the database has of the recording; samples without their data."""
+        with translated(f"reading recording {recording}"):
+            own = self._database[RECORDINGS].find_one({"_id": recording})
+            if own is None:
+                return  # as above
+            yield RECORDINGS, own
+            for collection, fields in ((SAMPLES, _WITHOUT_DATA), *((name, None) for name in _WHOLE)):
+                for document in _of(self._database, collection, recording, fields):
+                    yield collection, document
 
     def finished(self, volume: str) -> Collection[str]:
         """Paths of the volume's segments whose end is in `segments`."""
@@ -94,14 +120,16 @@ class PymongoRecordingStore:
                 self._database[collection].bulk_write(changes[start : start + UPDATES_AT_ONCE_MAX], ordered=True)
 
 
+def _of(
+    database: Database[dict[str, Any]], collection: str, recording: str, fields: Mapping[str, int] | None = None
+) -> Iterator[dict[str, Any]]:
+    """The documents of a recording in a collection, as many in each answer as fit its bound."""
+    return database[collection].find({"recording": recording}, fields, batch_size=_AT_ONCE[collection])
+
+
 def _change(write: Write) -> dict[str, Any]:
     change: dict[str, Any] = {"$set": dict(write.document)} if write.document else {}
     return {**change, "$addToSet": dict(write.add)} if write.add else change
-
-
-def _audits(database: Database[dict[str, Any]], recording: str) -> Sequence[Mapping[str, Any]]:
-    with translated(f"reading audits of {recording}"):
-        return list(database[AUDITS].find({"recording": recording}))
 
 
 def _parts(writes: Sequence[Write]) -> Iterator[list[Write]]:
@@ -132,18 +160,24 @@ class PymongoRecordingReader:
     def buckets(self, recording: str) -> Iterable[Mapping[str, Any]]:
         """The recording's buckets of small messages."""
         with translated(f"reading samples of {recording}"):
-            yield from self._database[SAMPLES].find({"recording": recording}, batch_size=100)
+            yield from _of(self._database, SAMPLES, recording)
 
     def index(self, recording: str) -> Iterable[Mapping[str, Any]]:
         """The recording's index entries of large messages."""
         with translated(f"reading the index of {recording}"):
-            yield from self._database[INDEX].find({"recording": recording}, batch_size=1000)
+            yield from _of(self._database, INDEX, recording)
 
     def segments(self, recording: str) -> Sequence[Mapping[str, Any]]:
         """The recording's finished files."""
         with translated(f"reading the segments of {recording}"):
-            return list(self._database[SEGMENTS].find({"recording": recording}))
+            return list(_of(self._database, SEGMENTS, recording))
 
     def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
         """The recording's audits."""
-        return _audits(self._database, recording)
+        with translated(f"reading audits of {recording}"):
+            return list(_of(self._database, AUDITS, recording))
+
+    def manifests(self, recording: str) -> Sequence[Mapping[str, Any]]:
+        """The recording's manifests and their parts."""
+        with translated(f"reading the manifests of {recording}"):
+            return list(_of(self._database, MANIFESTS, recording))

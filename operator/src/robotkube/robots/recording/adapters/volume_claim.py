@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from robotkube.robots.recording.adapters.bson_spool import BsonSpool
 from robotkube.robots.recording.adapters.segments import McapRepair, McapSegments
+from robotkube.robots.recording.adapters.segments.records import NOTES
+from robotkube.robots.recording.adapters.segments.writing import synchronise_folder
 
 
 class MountedVolumeClaim:
@@ -31,3 +34,19 @@ class MountedVolumeClaim:
     def repairs(self) -> McapRepair:
         """The repair of files whose writers are gone."""
         return McapRepair(self._root)
+
+    def note(self, recording: str, life: str, lines: Sequence[str]) -> None:
+        """Append the lines to `<recording>/<life>.manifest`, and synchronise."""
+        path = self._root / recording / f"{life}{NOTES}"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("ab") as file:
+            size = file.tell()
+            try:
+                file.write("".join(f"{line}\n" for line in lines).encode())
+                file.flush()
+                os.fsync(file.fileno())
+            except OSError:
+                with suppress(OSError):
+                    file.truncate(size)  # on a full disk: half a line would stand before the next attempt
+                raise
+        synchronise_folder(path.parent)

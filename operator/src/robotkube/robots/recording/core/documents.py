@@ -1,4 +1,4 @@
-"""The documents of a recording in storage, and the comparison of storage with the sources' ledgers.
+"""The documents of a recording in storage.
 
 Pure. Identifiers are derived from content, so writing something a second time changes nothing
 (docs/reference/contracts.md, "Recording storage"). Stamps and times are integers in ns since 1970.
@@ -7,7 +7,6 @@ Pure. Identifiers are derived from content, so writing something a second time c
 from __future__ import annotations
 
 import hashlib
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,7 +18,8 @@ SAMPLES = "samples"
 INDEX = "segments_index"
 SEGMENTS = "segments"
 AUDITS = "audits"
-COLLECTIONS = (RECORDINGS, SAMPLES, INDEX, SEGMENTS, AUDITS)
+MANIFESTS = "manifests"
+COLLECTIONS = (RECORDINGS, SAMPLES, INDEX, SEGMENTS, AUDITS, MANIFESTS)
 SECOND_NS = 1_000_000_000
 DOCUMENT_BYTES_MAX = 128 * 1024
 BUCKET_BYTES_MAX = 512 * 1024
@@ -206,131 +206,3 @@ class Duplicates:
     def shares_stamp(self, topic: str, stamp: int) -> bool:
         """True when different messages of the topic have this stamp."""
         return len(self._topics.get(topic, {}).get(stamp, ())) > 1
-
-
-@dataclass(frozen=True)
-class LedgerLine:
-    """One published message, as its source wrote it down."""
-
-    sequence: int
-    stamp: int
-    sha256: str
-
-
-@dataclass(frozen=True)
-class StoredMessage:
-    """One message in storage: `sha256` computed from the stored bytes now, `recorded_sha256` the digest written beside
-    it.
-
-    `sha256` is empty when the bytes could not be read; `problem` says why.
-    """
-
-    topic: str
-    stamp: int
-    sha256: str
-    recorded_sha256: str
-    size: int
-    problem: str = ""
-
-
-@dataclass(frozen=True)
-class TopicComparison:
-    """The comparison of a topic's storage and ledger within a window of stamps (both ends included).
-
-    `published`, `stored`: numbers of ledger lines and of stored messages in the window. `lost`: ledger lines that are
-    not in storage. `duplicates`: stored copies beyond the first. `mismatches`: stored messages whose bytes differ from
-    the ledger's or from the digest written when they were stored. `unknown`: stored stamps that no ledger line has.
-    `unreadable`: stored messages whose bytes are not there.
-    """
-
-    topic: str
-    published: int
-    stored: int
-    lost: tuple[LedgerLine, ...]
-    duplicates: tuple[int, ...]
-    mismatches: tuple[int, ...]
-    unknown: tuple[int, ...]
-    unreadable: tuple[str, ...]
-
-    @property
-    def complete(self) -> bool:
-        """True when nothing is lost, doubled, changed, invented or unreadable."""
-        return not (self.lost or self.duplicates or self.mismatches or self.unknown or self.unreadable)
-
-
-@dataclass(frozen=True)
-class LedgerComparison:
-    """The comparison of a recording with its sources' ledgers; `window` are the stamps it covers.
-
-    `without_ledger`: stored topics that nothing was compared with.
-    """
-
-    recording: str
-    window: tuple[int, int]
-    topics: Mapping[str, TopicComparison] = field(default_factory=dict)
-    without_ledger: tuple[str, ...] = ()
-
-    @property
-    def complete(self) -> bool:
-        """True when every topic is complete and at least one was compared."""
-        return bool(self.topics) and all(topic.complete for topic in self.topics.values())
-
-
-def compare_topic(
-    topic: str, ledger: Iterable[LedgerLine], stored: Iterable[StoredMessage], window: tuple[int, int]
-) -> TopicComparison:
-    """Compare one topic. Messages and lines outside the window are left out.
-
-    A ledger line is in storage when a message with its stamp is; equal stamps are told apart by their digests.
-    """
-    first, last = window
-    lines = [line for line in ledger if first <= line.stamp <= last]
-    messages = [message for message in stored if first <= message.stamp <= last]
-    readable = [message for message in messages if not message.problem]
-    expected = Counter((line.stamp, line.sha256) for line in lines)
-    stamps = {line.stamp for line in lines}
-    changed = [m for m in readable if m.stamp in stamps and (m.stamp, m.sha256) not in expected]
-    changed += [m for m in readable if m.sha256 != m.recorded_sha256 and m not in changed]
-    present = Counter(message.stamp for message in readable)
-    published = Counter(line.stamp for line in lines)
-    return TopicComparison(
-        topic=topic,
-        published=len(lines),
-        stored=len(messages),
-        lost=tuple(_lost(lines, present)),
-        duplicates=tuple(
-            stamp for stamp, count in sorted(present.items()) for _ in range(count - max(1, published[stamp]))
-        ),
-        mismatches=tuple(sorted(message.stamp for message in changed)),
-        unknown=tuple(sorted(message.stamp for message in readable if message.stamp not in stamps)),
-        unreadable=tuple(message.problem for message in messages if message.problem),
-    )
-
-
-def _lost(lines: Sequence[LedgerLine], present: Counter[int]) -> Iterable[LedgerLine]:
-    left = Counter(present)
-    for line in lines:
-        if left[line.stamp] > 0:
-            left[line.stamp] -= 1
-        else:
-            yield line
-
-
-def compare(
-    recording: str,
-    ledgers: Mapping[str, Sequence[LedgerLine]],
-    stored: Iterable[StoredMessage],
-    window: tuple[int, int],
-) -> LedgerComparison:
-    """Compare a recording with the ledgers of its topics. Stored topics without ledger are named, not compared."""
-    by_topic: dict[str, list[StoredMessage]] = {topic: [] for topic in ledgers}
-    without: set[str] = set()
-    for message in stored:
-        if message.topic in by_topic:
-            by_topic[message.topic].append(message)
-        else:
-            without.add(message.topic)
-    comparisons = {
-        topic: compare_topic(topic, ledgers[topic], messages, window) for topic, messages in sorted(by_topic.items())
-    }
-    return LedgerComparison(recording, window, comparisons, tuple(sorted(without)))

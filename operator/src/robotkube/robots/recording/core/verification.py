@@ -8,11 +8,18 @@ covers its stamp.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from robotkube.robots.recording.core.audits import AuditSum
-from robotkube.robots.recording.core.documents import LedgerLine, StoredMessage, TopicComparison, compare_topic
+from robotkube.robots.recording.core.ledgers import (
+    CLOCK_NS_MAX,
+    LATENCY_NS_MAX,
+    LedgerLine,
+    StoredMessage,
+    TopicComparison,
+    compare_topic,
+)
 
 Window = tuple[int, int]
 
@@ -34,10 +41,23 @@ class TopicExamination:
     @property
     def unexplained(self) -> int:
         """Messages that are missing although no gap says so: by the audit's numbers, or by the ledger's stamps."""
-        gaps = self.audit.gaps if self.audit else ()
         lost = self.comparison.lost if self.comparison else ()
-        by_ledger = sum(not any(gap.covers(line.stamp) for gap in gaps) for line in lost)
+        loose = self.comparison is not None and self.comparison.unstamped
+        by_ledger = self._unexplained_unstamped(lost) if loose else self._uncovered(lost, 0, 0)
         return max(by_ledger, self.audit.unexplained(self.stored) if self.audit else 0)
+
+    def _unexplained_unstamped(self, lost: Sequence[LedgerLine]) -> int:
+        """Lost lines of a topic whose gaps are between times of reception: those are later than the lines, and only
+        their numbers agree."""
+        known = sum(gap.count or 0 for gap in self.audit.gaps) if self.audit else 0
+        return max(0, self._uncovered(lost, CLOCK_NS_MAX, LATENCY_NS_MAX) - known)
+
+    def _uncovered(self, lost: Sequence[LedgerLine], earlier: int, later: int) -> int:
+        """How many lines no gap covers, when a message is received up to `earlier` before and `later` after it is due;
+        with either, of gaps of an unknown number alone."""
+        gaps = self.audit.gaps if self.audit else ()
+        chosen = [gap for gap in gaps if gap.count is None or not later]
+        return sum(not any(gap.first - later <= line.stamp <= gap.last + earlier for gap in chosen) for line in lost)
 
     @property
     def missing(self) -> int:
@@ -73,14 +93,15 @@ def examine(
     audits: Mapping[str, AuditSum],
     ledgers: Mapping[str, Sequence[LedgerLine]],
     window: Window,
+    latched: Collection[str] = (),
 ) -> list[TopicExamination]:
     """Examine every topic that is stored, audited or in a ledger. Ledgers are compared within `window`, both ends
-    included."""
+    included. `latched`: topics of which every new subscription gets the last message again."""
     by_topic: dict[str, list[StoredMessage]] = {topic: [] for topic in (*audits, *ledgers)}
     for message in stored:
         by_topic.setdefault(message.topic, []).append(message)
     return [
-        _examine(topic, messages, audits.get(topic), ledgers.get(topic), window)
+        _examine(topic, messages, audits.get(topic), ledgers.get(topic), window, topic in latched)
         for topic, messages in sorted(by_topic.items())
     ]
 
@@ -91,6 +112,7 @@ def _examine(
     audit: AuditSum | None,
     ledger: Sequence[LedgerLine] | None,
     window: Window,
+    latched: bool,
 ) -> TopicExamination:
     copies = Counter((message.stamp, message.recorded_sha256) for message in messages)
     return TopicExamination(
@@ -100,5 +122,5 @@ def _examine(
         mismatches=tuple(m.stamp for m in messages if not m.problem and m.sha256 != m.recorded_sha256),
         unreadable=tuple(m.problem for m in messages if m.problem),
         audit=audit,
-        comparison=None if ledger is None else compare_topic(topic, ledger, messages, window),
+        comparison=None if ledger is None else compare_topic(topic, ledger, messages, window, latched),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import secrets
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -21,7 +22,7 @@ SPOOL_BYTES_MAX = 1024 * 1024 * 1024
 class RecorderPlace:
     """The destination of a recorder. The openers are called on threads of the recording, so that importing and
     connecting do not delay the subscriptions; `volume` is `<node>/<volume claim>`. While the release is fenced
-    (`fencing` is not sure), nothing is written to the database."""
+    (`fencing` is not sure), nothing is written to the database. `draw`: so many random bytes, for keys."""
 
     volume: str
     open_store: Callable[[], RecordingStore]
@@ -29,6 +30,7 @@ class RecorderPlace:
     clock_ns: Callable[[], int]
     monotonic: Callable[[], float]
     fencing: Fencing = field(default_factory=Fencing)
+    draw: Callable[[int], bytes] = secrets.token_bytes
 
 
 @dataclass(frozen=True)

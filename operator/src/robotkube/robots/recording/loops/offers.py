@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
 
-from robotkube.robots.recording.core.documents import DOCUMENT_BYTES_MAX, SEGMENT, Received, SegmentPlace
+from robotkube.robots.recording.core.documents import (
+    AUDITS,
+    DOCUMENT_BYTES_MAX,
+    INDEX,
+    MANIFESTS,
+    RECORDINGS,
+    SAMPLES,
+    SEGMENT,
+    Received,
+    SegmentPlace,
+)
 from robotkube.robots.recording.loops.recording_audits import Arrival
 from robotkube.robots.recording.ports import Segments
 
@@ -58,10 +68,41 @@ class PendingAppend:
 
 @dataclass(frozen=True, slots=True)
 class PriorContents:
-    """Messages and audits that the database has of an earlier recorder of the same recording."""
+    """What the database has of earlier recorders of the same recording: collection and document, samples without
+    data."""
 
-    messages: Sequence[tuple[str, int, str]]
-    audits: Sequence[Mapping[str, Any]]
+    documents: Sequence[tuple[str, Mapping[str, Any]]]
+
+    @property
+    def recording(self) -> Mapping[str, Any]:
+        """The recording's own document; empty when there is none."""
+        return next(iter(self._of(RECORDINGS)), {})
+
+    @property
+    def audits(self) -> list[Mapping[str, Any]]:
+        """The audits."""
+        return self._of(AUDITS)
+
+    @property
+    def manifests(self) -> list[Mapping[str, Any]]:
+        """The manifests and their parts."""
+        return self._of(MANIFESTS)
+
+    @property
+    def stored(self) -> list[tuple[str, Mapping[str, Any]]]:
+        """What belongs into a manifest."""
+        return [(name, document) for name, document in self.documents if name not in (RECORDINGS, MANIFESTS)]
+
+    def messages(self) -> Iterator[tuple[str, int, str]]:
+        """Topic, stamp and SHA-256 of every message."""
+        for bucket in self._of(SAMPLES):
+            for sample in bucket["samples"]:
+                yield bucket["topic"], sample["stamp"], sample["sha256"]
+        for entry in self._of(INDEX):
+            yield entry["topic"], entry["stamp"], entry["sha256"]
+
+    def _of(self, collection: str) -> list[Mapping[str, Any]]:
+        return [document for name, document in self.documents if name == collection]
 
 
 def digest_of(data: bytes) -> str:

@@ -6,22 +6,35 @@ Everything is computed from the stored bytes: small messages from the buckets, l
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from robotkube.errors import DocumentError, UnavailableError
 from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.robots.recording.core.audits import AuditSum, add_up
 from robotkube.robots.recording.core.documents import (
-    LedgerComparison,
-    LedgerLine,
+    AUDITS,
+    INDEX,
+    SAMPLES,
+    SEGMENTS,
     SegmentPlace,
-    StoredMessage,
     bucket_is_whole,
-    compare,
     entry_is_whole,
 )
+from robotkube.robots.recording.core.ledgers import (
+    LATENCY_NS_MAX,
+    LedgerComparison,
+    LedgerLine,
+    StoredMessage,
+    compare,
+    published_digest,
+)
+from robotkube.robots.recording.core.seals import SealExamination
+from robotkube.robots.recording.core.writer_manifests import read_manifests
 from robotkube.robots.recording.ports import RecordingReader, SegmentReader
+
+NOTHING: Mapping[str, Collection[str]] = {}
+"""No ledger."""
 
 
 def list_recordings(reader: RecordingReader) -> list[dict[str, Any]]:
@@ -35,23 +48,27 @@ def stored_messages(
     recording: str,
     window: tuple[int, int] | None = None,
     changed: Callable[[str], None] = lambda _: None,
+    seen: Callable[[str, Mapping[str, Any]], None] = lambda _, __: None,
+    published: Mapping[str, Collection[str]] = NOTHING,
 ) -> Iterator[StoredMessage]:
     """Every stored message of a recording whose stamp is in `window`, with the hash of the bytes as they are now.
 
-    `changed` gets the `_id` of every document whose stamps or digests are not those that it was stored with."""
+    `changed` gets the `_id` of every document whose stamps or digests are not those that it was stored with, `seen`
+    the collection and the document of each. `published`: topic -> the digests that its ledger has."""
     for bucket in reader.buckets(recording):
+        seen(SAMPLES, bucket)
         if not bucket_is_whole(bucket):
             changed(bucket["_id"])
         for sample in bucket["samples"]:
-            if _within(sample["stamp"], window):
+            if _within(sample, window):
                 data = bytes(sample["data"])
-                digest = hashlib.sha256(data).hexdigest()
-                yield StoredMessage(bucket["topic"], sample["stamp"], digest, sample["sha256"], len(data))
+                yield _stored(bucket["topic"], sample, data, published)
     for entry in reader.index(recording):
+        seen(INDEX, entry)
         if not entry_is_whole(entry):
             changed(entry["_id"])
-        if _within(entry["stamp"], window):
-            yield _large(segments, entry)
+        if _within(entry, window):
+            yield _large(segments, entry, published)
 
 
 def first_stored(reader: RecordingReader, recording: str) -> dict[str, int]:
@@ -79,7 +96,13 @@ def verify(
     window: tuple[int, int],
 ) -> LedgerComparison:
     """Compare the recording with the ledgers of its topics, within a window of stamps (ns, both ends included)."""
-    return compare(recording, ledgers, stored_messages(reader, segments, recording, window), window)
+    stored = stored_messages(reader, segments, recording, window, published=published_digests(ledgers))
+    return compare(recording, ledgers, stored, window)
+
+
+def published_digests(ledgers: Mapping[str, Sequence[LedgerLine]]) -> dict[str, Collection[str]]:
+    """Topic -> the digests of its ledger."""
+    return {topic: frozenset(line.sha256 for line in lines) for topic, lines in ledgers.items()}
 
 
 def audits(reader: RecordingReader, recording: str) -> dict[str, AuditSum]:
@@ -104,6 +127,31 @@ def wrong_segments(reader: RecordingReader, segments: SegmentReader, recording: 
     return problems
 
 
+def begin_examination(
+    reader: RecordingReader, segments: SegmentReader, document: Mapping[str, Any], keys: Collection[str] = ()
+) -> SealExamination:
+    """The examination of a recording's manifests, which has seen its audits and segments; `stored_messages` shows it
+    the rest. `document`: the recording's own."""
+    recording = str(document["_id"])
+    manifests = read_manifests(recording, reader.manifests(recording))
+    volumes = sorted({*(document.get("volumes") or ()), *(manifest.volume for manifest in manifests)} - {""})
+    notes = {volume: _notes(segments, volume, recording) for volume in volumes}
+    examination = SealExamination(document, manifests, notes, keys)
+    for audit in reader.audits(recording):
+        examination.check(AUDITS, audit)
+    for segment in reader.segments(recording):
+        examination.check(SEGMENTS, segment)
+    return examination
+
+
+def _notes(segments: SegmentReader, volume: str, recording: str) -> dict[int, Sequence[str]] | None:
+    try:
+        noted = segments.notes(volume, recording)
+    except UnavailableError:
+        return None
+    return {int(life): lines for life, lines in noted.items() if life.isdecimal()}
+
+
 def read_ledger(lines: Iterable[str], where: str) -> list[LedgerLine]:
     """The lines of a player's ledger; DocumentError when it is not complete (its last line says how many there are)."""
     ledger: list[LedgerLine] = []
@@ -120,17 +168,29 @@ def read_ledger(lines: Iterable[str], where: str) -> list[LedgerLine]:
     raise DocumentError(where, ["has no end line: its player is still running or was killed"])
 
 
-def _within(stamp: int, window: tuple[int, int] | None) -> bool:
-    return window is None or window[0] <= stamp <= window[1]
+def _within(message: Mapping[str, Any], window: tuple[int, int] | None) -> bool:
+    """True for a stamp in the window; one without its own may have been due in it, and be received later."""
+    stamp = message["stamp"]
+    later = LATENCY_NS_MAX if stamp == message.get("received") else 0
+    return window is None or window[0] <= stamp <= window[1] + later
 
 
-def _large(segments: SegmentReader, entry: Mapping[str, Any]) -> StoredMessage:
+def _large(
+    segments: SegmentReader, entry: Mapping[str, Any], published: Mapping[str, Collection[str]]
+) -> StoredMessage:
     size = entry["size"]
-    problem = ""
-    digest = ""
     try:
         data = segments.read(entry["volume"], SegmentPlace(entry["segment"], entry["offset"]), size)
-        digest = hashlib.sha256(data).hexdigest()
     except UnavailableError as error:
-        problem = str(error)
-    return StoredMessage(entry["topic"], entry["stamp"], digest, entry["sha256"], size, problem)
+        return StoredMessage(entry["topic"], entry["stamp"], "", entry["sha256"], size, str(error))
+    return _stored(entry["topic"], entry, data, published)
+
+
+def _stored(
+    topic: str, message: Mapping[str, Any], data: bytes, published: Mapping[str, Collection[str]]
+) -> StoredMessage:
+    digest = hashlib.sha256(data).hexdigest()
+    known = published_digest(data, digest, published.get(topic, ()))
+    return StoredMessage(
+        topic, message["stamp"], digest, message["sha256"], len(data), "", message.get("received"), known
+    )

@@ -20,10 +20,12 @@ from typing import Any
 
 from robotkube.robots.recording.core.audits import QUEUE, VOLUME
 from robotkube.robots.recording.core.documents import (
+    AUDITS,
     INDEX,
     RECORDINGS,
     SAMPLES,
     SEGMENT,
+    SEGMENTS,
     Duplicates,
     Received,
     SegmentMessage,
@@ -33,6 +35,7 @@ from robotkube.robots.recording.core.documents import (
     messages_of,
     resumed_fields,
 )
+from robotkube.robots.recording.core.manifests import continued
 from robotkube.robots.recording.core.plans import FOREVER
 from robotkube.robots.recording.loops.counters import RecorderCounts
 from robotkube.robots.recording.loops.destinations import BOUNDS, ROUND_SECONDS, RecorderPlace, RecordingBounds
@@ -46,6 +49,7 @@ from robotkube.robots.recording.loops.offers import (
     digest_of,
 )
 from robotkube.robots.recording.loops.recording_audits import RecordingAudits
+from robotkube.robots.recording.loops.recording_manifest import RecordingManifest
 from robotkube.robots.recording.loops.segment_repair import index_write, segment_begun, segment_ended
 from robotkube.robots.recording.ports import NO_SPACE, RecordingStore, Segments
 from robotkube.robots.ros.core.gaps import Gap, Interval
@@ -84,6 +88,8 @@ class Recorder:
         self._place = place
         self._bounds = bounds
         self._audits = RecordingAudits(recording, journal, place, intervals)
+        self._manifest = RecordingManifest(recording, self._audits.life, journal, place)
+        self._earlier: Mapping[str, Any] | None = None
         self._silent = set(streams)
         self._begin_stamp = 0
         self._first_large_at: float | None = None
@@ -189,7 +195,7 @@ class Recorder:
 
     def introduce(self, store: RecordingStore) -> None:
         """Read what an earlier recorder of this recording has stored."""
-        self._prior = PriorContents(list(store.known(self.recording)), store.audits(self.recording))
+        self._prior = PriorContents(list(store.documents(self.recording)))
         self._wake.set()
 
     def acknowledged(self, write: Write, now: int) -> None:
@@ -235,10 +241,12 @@ class Recorder:
         if not self._begun and not self._audits:
             return
         self._begin()
-        self._audits.close()
+        for audit in self._audits.close():
+            self._manifest.add_document(AUDITS, audit)
         numbers = self.counts.numbers(self._journal.dropped(self.recording))
         fields = {"ended": self._place.clock_ns(), "counts": numbers}
         self._journal.add([Write(RECORDINGS, self.recording, fields, update=True, size=200)])
+        self._manifest.seal(self._as_it_ends(fields), self._journal.volume_claim)
         log.info("recording %s: ended %s", self.recording, " ".join(f"{name}={n}" for name, n in numbers.items()))
 
     def _give_up(self) -> None:
@@ -259,9 +267,18 @@ class Recorder:
             log.error("recording %s: the segment has no end, the next start repairs it: %s", self.recording, error)
         self._add_closed(self._segments)
 
+    def _as_it_ends(self, fields: Mapping[str, Any]) -> dict[str, Any] | None:
+        """The recording's document when these fields are set; None when nobody knows what was there before."""
+        with self._lock:
+            own = {"started": self.life, **self._document, **fields}
+        return None if self._earlier is None else continued(self._earlier, own)
+
     def _add_closed(self, segments: Segments) -> None:
         for closed in segments.closed():
-            self._journal.add(segment_ended(self.recording, closed, self._place.volume))
+            writes = segment_ended(self.recording, closed, self._place.volume)
+            self._journal.add(writes)
+            self._manifest.end_segment(closed.segment)
+            self._manifest.add_document(SEGMENTS, writes[0].document)
 
     def turn(self) -> None:
         """Store one batch. A volume that refuses delays what it is for, and nothing else."""
@@ -278,6 +295,7 @@ class Recorder:
         large = self._begin_large()
         self._store_small(small)  # beside the writing of the large ones
         self._end_large(large)
+        self._manifest.turn(self._journal.volume_claim)
 
     def _may_dequeue(self) -> bool:
         # what an earlier recorder of this recording stored must be known before anything is stored again;
@@ -289,15 +307,16 @@ class Recorder:
     def _resume(self, prior: PriorContents) -> None:
         """Go on after an earlier recorder of this recording, and find out since when it was interrupted."""
         stamps: dict[str, list[int]] = {}
-        for topic, stamp, sha256 in prior.messages:
+        for topic, stamp, sha256 in prior.messages():
             self._duplicates.admit(topic, stamp, sha256)
             stamps.setdefault(topic, []).append(stamp)
         self._duplicates.dropped = 0
         self._known = True
-        if not prior.audits and not stamps:
-            return
-        self._audits.resume(prior.audits, stamps)
-        self._begin()
+        self._earlier = prior.recording
+        if prior.audits or stamps:
+            self._audits.resume(prior.audits, stamps)
+            self._begin()
+        self._manifest.adopt(prior)
 
     def _dequeue(self) -> list[Offer]:
         """Empty the queue: large messages join those that the volume has not stored yet, small ones are returned."""
@@ -338,6 +357,7 @@ class Recorder:
     def _add_messages(self, writes: Sequence[Write], topics: Sequence[str]) -> None:
         """Add writes that carry one message of each of `topics` to the journal."""
         self._journal.add(writes)
+        self._manifest.add(writes)
         self._audits.store(topics)
 
     def _begin_large(self) -> PendingAppend | None:
@@ -443,6 +463,8 @@ class Recorder:
             self._begin()
             names = {place.segment for place in places if place is not None} - self._files
             self._files |= names
+            for name in names:
+                self._manifest.begin_segment(name)
             self._journal.add([segment_begun(self.recording, name, self._place.volume) for name in sorted(names)])
             self._add_messages(writes, topics)
 
@@ -465,4 +487,5 @@ class Recorder:
             self._journal.add([
                 Write(RECORDINGS, self.recording, begun, size=1000),
                 Write(RECORDINGS, self.recording, resumed_fields(document), update=True, size=1000, add=added),
+                self._manifest.begin(),
             ])  # fmt: skip

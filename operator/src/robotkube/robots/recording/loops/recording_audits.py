@@ -39,7 +39,8 @@ class RecordingAudits:
         self._written: set[str] = set()
         self._due_at = place.monotonic() + AUDIT_SECONDS
         self._interrupted: dict[str, int] = {}
-        self._open_before: dict[str, list[str]] = {}
+        self._open_before: dict[str, list[Mapping[str, Any]]] = {}
+        self._closed: list[Mapping[str, Any]] = []
         self._killed_since: int | None = None
         self._begun_at: dict[str, int] = {}
         self._paths: tuple[set[str], set[str]] = (set(), set())
@@ -99,7 +100,7 @@ class RecordingAudits:
         with self._lock:
             for audit in earlier:
                 if not audit["closed"]:
-                    self._open_before.setdefault(audit["topic"], []).append(audit["_id"])
+                    self._open_before.setdefault(audit["topic"], []).append(audit)
                 if audit["window"]:
                     begun = self._begun_at.get(audit["topic"], audit["window"][0])
                     self._begun_at[audit["topic"]] = min(begun, audit["window"][0])
@@ -131,8 +132,9 @@ class RecordingAudits:
             self._write(changed, durable=bool(new))
         return bool(changed)
 
-    def close(self) -> None:
-        """Write the closed audits, with the holes in what was received."""
+    def close(self) -> list[Mapping[str, Any]]:
+        """Write the closed audits, with the holes in what was received; all that this writer has closed, an earlier
+        one's among them."""
         now = self._place.clock_ns()
         with self._lock:
             for topic, since in self._interrupted.items():
@@ -141,6 +143,7 @@ class RecordingAudits:
                 self._of(topic)
             self._interrupted.clear()
         self._write(list(self._audits), closed=True)
+        return self._closed
 
     def _of(self, topic: str) -> TopicAudit:
         audit = self._audits.get(topic)
@@ -197,16 +200,23 @@ class RecordingAudits:
                     "written": now,
                 }
                 audit.changed = False
-                writes.append(self._audit_write(topic, document))
+                name = f"{self._recording}{topic}/{self.life}"
+                whole = {"recording": self._recording, "volume": self._place.volume, "life": self.life, **document}
+                writes.append(self._audit_write(topic, name, document, whole))
+                if closed:
+                    self._closed.append({"_id": name, **whole})
                 if topic not in self._interrupted:
-                    names = self._open_before.pop(topic, ())
-                    writes += [Write(AUDITS, name, {"closed": True}, update=True, size=100) for name in names]
+                    writes += self._close_earlier(topic)
         self._journal.add(writes, durable)
 
-    def _audit_write(self, topic: str, document: dict[str, Any]) -> Write:
-        name = f"{self._recording}{topic}/{self.life}"
+    def _audit_write(self, topic: str, name: str, document: dict[str, Any], whole: dict[str, Any]) -> Write:
         if topic in self._written:
             return Write(AUDITS, name, document, update=True, size=AUDIT_BYTES)
         self._written.add(topic)
-        whole = {"recording": self._recording, "volume": self._place.volume, "life": self.life, **document}
         return Write(AUDITS, name, whole, size=AUDIT_BYTES)
+
+    def _close_earlier(self, topic: str) -> list[Write]:
+        """Close the audits that killed writers have left open."""
+        earlier = self._open_before.pop(topic, [])
+        self._closed += earlier
+        return [Write(AUDITS, audit["_id"], {"closed": True}, update=True, size=100) for audit in earlier]

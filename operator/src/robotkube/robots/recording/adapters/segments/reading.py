@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from robotkube.errors import UnavailableError
-from robotkube.robots.recording.adapters.segments.records import MESSAGE, MESSAGE_OPCODE, RECORD
+from robotkube.robots.recording.adapters.segments.records import MESSAGE, MESSAGE_OPCODE, NOTES, RECORD
 from robotkube.robots.recording.core.documents import SegmentPlace
 
 
@@ -40,6 +40,16 @@ class McapSegmentReader:
         try:
             with self._path(volume, segment, where).open("rb") as file:
                 return hashlib.file_digest(file, "sha256").hexdigest(), file.tell()
+        except OSError as error:
+            raise UnavailableError(f"{where}: {error.strerror}") from error
+
+    def notes(self, volume: str, recording: str) -> Mapping[str, Sequence[str]]:
+        """The lines of `<recording>/<life>.manifest`, by life."""
+        where = f"{volume}: {recording}"
+        folder = self._path(volume, recording, where)
+        try:
+            files = sorted(folder.glob(f"*{NOTES}"))
+            return {file.stem: file.read_text(encoding="utf-8", errors="replace").splitlines() for file in files}
         except OSError as error:
             raise UnavailableError(f"{where}: {error.strerror}") from error
 

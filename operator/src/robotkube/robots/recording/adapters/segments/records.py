@@ -21,6 +21,8 @@ STAMP_MAX = 2**63 - 1
 MESSAGE_BYTES_MAX = 2**32 - 1
 CHANNELS_MAX = 2**16 - 1
 LIBRARY = "robotkube"
+NOTES = ".manifest"
+"""The end of the name of a file beside the segments that has what a writer noted."""
 
 _PREFIX = struct.Struct("<BQHIQQ")
 

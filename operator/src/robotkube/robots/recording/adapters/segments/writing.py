@@ -133,7 +133,7 @@ class McapSegments:
         try:
             fcntl.flock(file.descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             _write(file, [beginning()], file.contents)
-            _synchronise_folder(path.parent)
+            synchronise_folder(path.parent)
         except OSError:
             os.close(file.descriptor)
             path.unlink(missing_ok=True)
@@ -233,8 +233,9 @@ def _shortened(file: _File) -> bool:
     return False
 
 
-def _synchronise_folder(path: Path) -> None:
-    folder = os.open(path, os.O_RDONLY)  # the file's name has to survive, too
+def synchronise_folder(path: Path) -> None:
+    """Synchronise a folder: the name of a new file has to survive, too."""
+    folder = os.open(path, os.O_RDONLY)
     try:
         os.fsync(folder)
     finally:
