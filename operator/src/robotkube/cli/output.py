@@ -19,8 +19,8 @@ class Table:
     is the document.
 
     `text` is what people get in place of the table. `refusal`: why the command ends as refused although it has data to
-    show; empty when it does not. `more` are further tables: for programs keys of the one document, for people what
-    follows when it has rows.
+    show; empty when it does not; `late`: only because what it waited for did not come in time. `more` are further
+    tables: for programs keys of the one document, for people what follows when it has rows.
     """
 
     name: str
@@ -28,6 +28,7 @@ class Table:
     rows: Sequence[Mapping[str, Any]]
     single: bool = False
     refusal: str = ""
+    late: bool = False
     text: str = ""
     more: Sequence[Table] = ()
 
