@@ -16,8 +16,10 @@ import pytest
 import yaml
 from paho.mqtt.enums import CallbackAPIVersion
 
+from robotkube.delivery.manager.core.placement.placement import Agent
 from robotkube.foundation.runtime.loops.fencing import Fencing
-from robotkube.robots.bridge.core.settings import read_bridge_settings
+from robotkube.robots.bridge.core.rights import IN, OUT, may
+from robotkube.robots.bridge.core.settings import GATEWAY_TOPICS, BridgedTopic, read_bridge_settings
 from robotkube.robots.bridge.loops.bridge import Bridge
 from robotkube.robots.bridge.loops.flows import SendingSession
 from robotkube.robots.mqtt.adapters.paho_channel import BrokerAccount, PahoChannel
@@ -30,6 +32,7 @@ START_SECONDS_MAX = 30.0
 ANSWER_SECONDS_MAX = 30.0
 PROFILES = Path(__file__).parent / "profiles"
 PLATFORM = CHARTS / "robotkube"
+WRITER = "writer"  # an account of these tests alone, which writes what nobody else may
 
 Connect = Callable[..., "Connection"]
 
@@ -88,6 +91,13 @@ class Connection:
             self.arrived.wait_for(lambda: len(self.received) >= count, ANSWER_SECONDS_MAX)
             return [topic for topic, _ in self.received]
 
+    def until(self, payload: bytes) -> set[str]:
+        """The topics received, once this payload has come."""
+        with self.arrived:
+            came = self.arrived.wait_for(lambda: any(p == payload for _, p in self.received), ANSWER_SECONDS_MAX)
+            assert came, self.received
+            return {topic for topic, _ in self.received}
+
     def close(self) -> None:
         client = self._client
         client.disconnect()
@@ -99,10 +109,11 @@ class Connection:
 
 @pytest.fixture(scope="module")
 def official(helm: Any) -> Any:
-    """The platform chart with two more vehicles."""
+    """The platform chart with two more vehicles, a road-side unit and an edge server."""
     profile = PROFILES / "official.yaml"
     agents = yaml.safe_load(profile.read_text())["agents"]
     more = [{"name": name, "role": "vehicle"} for name in ("vehicle-03", "vehicle-07")]
+    more += [{"name": "roadside-0", "role": "roadside"}, {"name": "edge-0", "role": "edge"}]
     return helm.template(PLATFORM, profile, agents=[*agents, *more])
 
 
@@ -115,8 +126,8 @@ def broker(official: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
     (folder / "settings").mkdir()
     (folder / "accounts").mkdir()
     (folder / "run").mkdir()
-    (folder / "settings" / "acl").write_text(files["acl"])
-    passwords = official.one("Secret", "broker-accounts")["stringData"]["passwords"]
+    (folder / "settings" / "acl").write_text(f"{files['acl']}\nuser {WRITER}\ntopic readwrite #\n")
+    passwords = official.one("Secret", "broker-accounts")["stringData"]["passwords"].rstrip() + f"\n{WRITER}:{WRITER}\n"
     (folder / "accounts" / "passwords").write_text(passwords)
     pod = dict(official.pods)["Deployment/broker"]
     [script] = pod["initContainers"][0]["args"]
@@ -217,8 +228,39 @@ def test_a_vehicle_says_of_its_own_topics_what_they_are(connect: Connect, prefix
     assert cloud.topics(1) == [f"{prefix}/mqtt/vehicles/vehicle_00/pose"]
 
 
+AGENTS = [
+    Agent(name, role, name)
+    for name, role in [("vehicle-00", "vehicle"), ("roadside-0", "roadside"), ("cloud-0", "cloud"), ("edge-0", "edge")]
+]
+TOPICS = [
+    *(f"/vehicles/{name}" for name in ("vehicle_00", "vehicle_00/pose", "vehicle_000/pose", "vehicle_03/pose")),
+    *("/vehicles/vehicle_00/a/b", "/vehicles/roadside_0/pose", "/vehicles/roadside_00/pose", "/vehicles/pose"),
+    *("/vehicles/cloud_0/plan", "/vehicles/edge_0/plan", "/pose", "/robotkube/tasks", "/robotkube/task_status"),
+]
+
+
+@pytest.mark.parametrize("agent", AGENTS, ids=lambda agent: agent.name)
+def test_links_are_composed_of_what_the_broker_lets_pass(connect: Connect, agent: Agent) -> None:
+    """`may` and the rendered file say the same of every agent, direction and topic."""
+    bridge, writer = connect(agent.name), connect(WRITER, WRITER)
+    at_broker = {name: at_the_broker(name, agent) for name in TOPICS}
+    written = {name for name in TOPICS if bridge.publish(at_broker[name]) != NOT_AUTHORISED}
+    assert written == {name for name in TOPICS if may(agent, OUT, name)}
+    for name in at_broker.values():
+        bridge.subscribe(name)
+        writer.publish(name)
+    writer.publish(f"robotkube/task_status/{agent.name}", b"the last one")
+    received = bridge.until(b"the last one")
+    assert {name for name in TOPICS if at_broker[name] in received} == {n for n in TOPICS if may(agent, IN, n)}
+
+
+def at_the_broker(name: str, agent: Agent) -> str:
+    """The MQTT topic of a ROS topic in the bridge of an agent."""
+    return BridgedTopic(name, "", gateway_agent=agent.name if name in GATEWAY_TOPICS else "").mqtt
+
+
 def test_a_bridge_that_may_not_says_so(broker: int, official: Any) -> None:
-    """The bridge of vehicle-07, told to send vehicle-03's pose: a complaint, a refusal counted, nothing sent."""
+    """The bridge of vehicle-07, told to send vehicle-03's pose: it names it, counts a refusal, sends nothing."""
     secret = official.one("Secret", "broker-account", "vehicle-07")["stringData"]
     account = BrokerAccount("127.0.0.1", broker, secret["username"], secret["password"])
     waiting = [b"pose"]
@@ -233,11 +275,12 @@ def test_a_bridge_that_may_not_says_so(broker: int, official: Any) -> None:
     pose = {"name": "/vehicles/vehicle_03/pose", "type": "geometry_msgs/msg/PoseStamped"}
     bridge.configure(read_bridge_settings({"agent": "vehicle-07", "out": [pose]}, "config.yaml"))
     deadline = time.monotonic() + ANSWER_SECONDS_MAX
-    while "look at the broker's ACL" not in str(bridge.complaint):
-        assert time.monotonic() < deadline, bridge.complaint
+    while "look at the broker's ACL" not in str(bridge.not_carried):
+        assert time.monotonic() < deadline, (bridge.complaint, bridge.not_carried)
         bridge.turn(time.monotonic())
         time.sleep(0.01)
-    assert "mqtt/vehicles/vehicle_03/pose: the broker refuses a message (reason 0x87" in str(bridge.complaint)
+    assert "mqtt/vehicles/vehicle_03/pose: the broker refuses a message (reason 0x87" in str(bridge.not_carried)
+    assert bridge.complaint is None
     assert 'why="refused by the broker"} 1' in bridge.metrics()
     bridge.close()
 

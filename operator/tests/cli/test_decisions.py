@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from robotkube.cli.main import main
+from robotkube.cli.platform import Platform
 from robotkube.delivery.deployment.core.releases import application_name
 from robotkube.delivery.manager.loops.explain import Explainer
 from robotkube.foundation.runtime.adapters.webhook_server import WebServer
@@ -85,6 +86,21 @@ def test_explaining_a_task_that_is_there(line: Line) -> None:
     assert "Accepted=True Accepted" in out
     assert f"recorder -> {RECORDER}" in out
     assert "+++" not in out
+
+
+def test_what_would_go_is_listed_before_a_task_is_withdrawn(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Platform, "withdraw", lambda self, key, dry_run: None)
+    code, out, err = line.run("task", "withdraw", line.key, "--dry-run")
+    assert (code, err.splitlines()[0]) == (0, f"would withdraw: {line.key}")
+    assert f"stops {RECORDER} (event-detector 0.2.2)" in out
+    assert "changes vehicle-00/mqtt-bridge (mqtt-bridge 0.2.2)" in out
+    code, out, _ = line.run("task", "withdraw", line.key, "--dry-run", "--output", "json")
+    assert json.loads(out)["releases"] == [RECORDER]
+    assert line.key in line.stage.tasks.objects
+
+
+def test_why_it_was_taken_is_explained_when_it_runs(line: Line) -> None:
+    assert "Accepted (generation 1): recorder -> " in line.run("task", "explain", line.key)[1]
 
 
 def test_explaining_a_task_that_is_not_submitted(line: Line, tmp_path: Path) -> None:

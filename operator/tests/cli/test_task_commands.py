@@ -11,7 +11,7 @@ import pytest
 
 from robotkube.cli.main import main
 from robotkube.cli.platform import Platform
-from robotkube.cli.tasks import watch
+from robotkube.cli.tasks import submit, watch
 from robotkube.errors import InputError
 from tests.stages.kubernetes.api_calls import TASKS, Api
 from tests.stages.kubernetes.api_server import ApiServerProcess
@@ -38,16 +38,17 @@ def line(api_server: ApiServerProcess, capsys: pytest.CaptureFixture[str]) -> Li
 
 def test_tasks(line: Line, api: Api) -> None:
     code, out, _ = line.run("task", "list")
-    assert (code, out.split()) == (0, ["TASK", "APPLICATION", "STATE", "REASON", "PLAN", "PULL", "REQUEST"])
+    assert (code, out.split()) == (0, ["TASK", "APPLICATION", "PRIORITY", "STATE", "REASON", "PLAN", "PULL", "REQUEST"])
     api.task("one", reason="near")
     code, out, _ = line.run("task", "list")
-    assert out.splitlines()[1].split() == ["cloud-0/one", "recording", "New", "near", "-", "-"]
+    assert out.splitlines()[1].split() == ["cloud-0/one", "recording", "100", "New", "near", "-", "-"]
     code, out, _ = line.run("task", "list", "--output", "json")
     assert json.loads(out)["tasks"][0]["task"] == "cloud-0/one"
     code, out, _ = line.run("task", "show", "cloud-0/one", "--output", "yaml")
     assert "application: recording" in out
     code, out, err = line.run("task", "withdraw", "cloud-0/one", "--dry-run")
-    assert (code, out, err) == (0, "", "would withdraw: cloud-0/one\n")
+    assert (code, out, err.splitlines()[0]) == (2, "", "would withdraw: cloud-0/one")
+    assert "no Service manager in namespace robotkube" in err
     assert line.run("task", "withdraw", "cloud-0/one")[0] == 0
     code, out, err = line.run("task", "show", "cloud-0/one")
     assert code == 1
@@ -84,14 +85,38 @@ def test_submitting(line: Line, api: Api, tmp_path: Path, monkeypatch: pytest.Mo
 def test_submitting_by_options_and_waiting(line: Line, api: Api) -> None:
     words = ("task", "submit", "--namespace", "cloud-0", "--application", "recording", "--name", "waits")
     code, out, err = line.run(*words, "--lease", "60", "--wait", "0.2", "--output", "json")
-    assert (code, json.loads(out)["lease_seconds"]) == (1, 60)
+    assert (code, json.loads(out)["lease_seconds"]) == (3, 60)
     assert "not ready within 0.2 s: New" in err
     condition = {"type": "Accepted", "status": "False", "reason": "NoCapableNode", "message": "no node with lidar"}
     conditions = [{**condition, "lastTransitionTime": "2026-11-21T10:00:00Z"}]
     api.merge(f"{TASKS}/waits/status", {"status": {"observedGeneration": 1, "conditions": conditions}})
     code, out, err = line.run(*words, "--lease", "60", "--wait", "5")
     assert (code, "NoCapableNode: no node with lidar" in err) == (1, True)
+    code, out, err = line.run(*words, "--lease", "60", "--wait", "5", "--delete-if-refused")
+    assert (code, "not withdrawn, since it was there before: cloud-0/waits" in err) == (1, True)
     assert line.run("task", "withdraw", "cloud-0/waits")[0] == 0
+
+
+def test_what_is_refused_is_withdrawn_again_when_that_is_asked_for(
+    line: Line, api: Api, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Not while it is postponed: it waits for its place, and then it is ready."""
+    words = ("task", "submit", "--namespace", "cloud-0", "--application", "recording", "--delete-if-refused", "--wait")
+    stamp = {"lastTransitionTime": "2026-11-21T10:00:00Z", "message": "no node with lidar"}
+    looks = iter([("False", "Postponed"), ("False", "Postponed"), ("False", "NoCapableNode")])
+
+    def decide(_: float) -> None:
+        status, reason = next(looks)
+        conditions = [{"type": "Accepted", "status": status, "reason": reason, **stamp}]
+        api.merge(f"{TASKS}/refused/status", {"status": {"observedGeneration": 1, "conditions": conditions}})
+
+    monkeypatch.setattr(submit.time, "sleep", decide)
+    code, out, err = line.run(*words, "--name", "refused", "--output", "json")
+    assert (code, json.loads(out)["state"]) == (1, "Refused (NoCapableNode)")
+    assert "withdrawn, since it was refused: cloud-0/refused" in err
+    assert line.run("task", "show", "cloud-0/refused")[0] == 1
+    code, _, err = line.run("task", "submit", "--namespace", "cloud-0", "--application", "x", "--delete-if-refused")
+    assert (code, "needs --wait" in err) == (2, True)
 
 
 def test_watching(line: Line, api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -111,6 +136,21 @@ def test_watching(line: Line, api: Api, monkeypatch: pytest.MonkeyPatch) -> None
     found = [json.loads(text) for text in out.splitlines()]
     assert (code, [row["condition"] for row in found]) == (0, ["Submitted", "Accepted", "Withdrawn"])
     assert (found[1]["status"], found[1]["reason"], found[1]["message"]) == ("True", "Accepted", "yes")
+    assert found[2]["time"] > "2026-11-21T10:00:00Z"
+
+
+def test_every_change_is_a_line_with_its_own_time() -> None:
+    """The time of the last transition stays when only reason or message change."""
+    first = {"type": "Ready", "status": "False", "reason": "Progressing", "lastTransitionTime": "2026-11-21T10:00:00Z"}
+    before = {"metadata": {}, "status": {"conditions": [{**first, "message": "waits"}]}}
+    now = {"metadata": {}, "status": {"conditions": [{**first, "message": "starts"}]}}
+    assert [one["time"] for one in watch.changes("a/b", None, before, "later")] == ["", "2026-11-21T10:00:00Z"]
+    assert [(one["message"], one["time"]) for one in watch.changes("a/b", before, now, "later")] == [
+        ("starts", "later")
+    ]
+    assert [(one["condition"], one["time"]) for one in watch.changes("a/b", now, None, "last")] == [
+        ("Withdrawn", "last")
+    ]
 
 
 def test_releases_without_any(line: Line) -> None:

@@ -19,9 +19,9 @@ class Table:
     is the document.
 
     `text` is what people get in place of the table. `refusal`: why the command ends as refused although it has data to
-    show; empty when it does not. `unreachable`: likewise, what could not be asked. `reservation`: what it could not
-    prove, although nothing speaks against it. `more` are further tables: for programs keys of the one document, for
-    people what follows when it has rows.
+    show; empty when it does not. `unreachable`: likewise, what could not be asked or did not come in time.
+    `reservation`: what it could not prove, although nothing speaks against it. `more` are further tables: for programs
+    keys of the one document, for people what follows when it has rows.
     """
 
     name: str

@@ -143,13 +143,17 @@ def ask(name: str, sensor: str, **more: Any) -> dict[str, Any]:
     return {"name": name, "do": {"submit": asked}}
 
 
-@pytest.mark.parametrize("role", ["cloud", "edge", "roadside", "vehicle"])
-def test_a_detection_runs_on_every_role_that_a_task_asks_for(tmp_path: Path, role: str) -> None:
+@pytest.mark.parametrize(
+    ("role", "sensor"),
+    [("cloud", "vehicle-01"), ("edge", "vehicle-01"), ("roadside", "roadside-0"), ("vehicle", "vehicle-01")],
+)
+def test_a_detection_runs_on_every_role_that_a_task_asks_for(tmp_path: Path, role: str, sensor: str) -> None:
     """Table I, p01."""
     rehearsal = Rehearsal(staged(definition.load(WIDEST), tmp_path))
-    step = ask("on", "vehicle-01", placement={"roles": [role]})
+    where = {"roles": [role], **({"agents": [sensor]} if role == "vehicle" else {})}
+    step = ask("on", sensor, placement=where)
     acting.Actor(rehearsal, rehearsal, rehearsal.releases, lambda _: None)._step(read_steps([step])[0])  # type: ignore[arg-type]
-    found = [name for name in rehearsal.releases() if name.endswith("/object-detection-vehicle-01")]
+    found = [name for name in rehearsal.releases() if name.endswith(f"/object-detection-{sensor}")]
     roles = {node.agent: node.role for node in definition.load(WIDEST).nodes}
     assert [roles[name.partition("/")[0]] for name in found] == [role]
 
@@ -164,11 +168,11 @@ def test_requirements_choose_the_version(tmp_path: Path) -> None:
         "impossible": ("vehicle-02", {"guarantee": "range", "atLeast": 500, "unit": "m"}),
     }
     for name, (sensor, requirement) in wanted.items():
-        more = {"provides": "perception/detection", "requirements": [requirement], "placement": {"roles": ["roadside"]}}
+        more = {"provides": "perception/detection", "requirements": [requirement], "placement": {"roles": ["cloud"]}}
         actor._step(read_steps([ask(name, sensor, **more)])[0])
     found = rehearsal.releases()
-    assert found["roadside-0/object-detection-vehicle-00"].version == "0.1.2"
-    assert found["roadside-0/object-detection-vehicle-01"].version == "0.2.2"
+    assert found["cloud-0/object-detection-vehicle-00"].version == "0.1.2"
+    assert found["cloud-0/object-detection-vehicle-01"].version == "0.2.2"
     refused = rehearsal.task("cloud-0", "impossible")["status"]["conditions"][0]
     assert (refused["reason"], "range" in refused["message"]) == ("GuaranteeNotMet", True)
 
@@ -178,8 +182,8 @@ def test_what_ran_on_a_lost_node_runs_on_another(tmp_path: Path) -> None:
     stage = staged(definition.load(WIDEST), tmp_path)
     rehearsal = Rehearsal(stage)
     actor = acting.Actor(rehearsal, rehearsal, rehearsal.releases, lambda _: None)  # type: ignore[arg-type]
-    actor._step(read_steps([ask("anywhere", "vehicle-02", placement={"roles": ["roadside", "edge"]})])[0])
-    [before] = [name for name in rehearsal.releases() if name.endswith("/object-detection-vehicle-02")]
+    actor._step(read_steps([ask("anywhere", "roadside-0", placement={"roles": ["roadside", "edge"]})])[0])
+    [before] = [name for name in rehearsal.releases() if name.endswith("/object-detection-roadside-0")]
     lost = before.partition("/")[0]
     now = 1795250000_000000000 + int(stage.seconds * 1e9)
     stage.cluster.machines[:] = [
@@ -189,8 +193,8 @@ def test_what_ran_on_a_lost_node_runs_on_another(tmp_path: Path) -> None:
     stage.seconds += 41
     stage.go(wake=NODES)
     stage.settle()
-    [after] = [name for name in rehearsal.releases() if name.endswith("/object-detection-vehicle-02")]
-    assert {before, after} == {"edge-0/object-detection-vehicle-02", "roadside-0/object-detection-vehicle-02"}
+    [after] = [name for name in rehearsal.releases() if name.endswith("/object-detection-roadside-0")]
+    assert {before, after} == {"edge-0/object-detection-roadside-0", "roadside-0/object-detection-roadside-0"}
     message = stage.repository.log(None, 1)[-1].message
     assert f"node {lost} lost for " in message
     assert "RobotKube-Cause: node" in message

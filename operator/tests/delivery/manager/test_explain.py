@@ -150,3 +150,24 @@ def test_one_question_at_a_time_and_faults_in_words(monkeypatch: pytest.MonkeyPa
     answer.set()
     thread.join(10)
     assert answers == [(503, {"message": "the forge is away"})]
+
+
+def test_what_would_go_with_a_task(stage: Stage, explainer: Explainer) -> None:
+    """Its own recorder stops; the bridges stay, with the topics that others ask for; nothing is changed by asking."""
+    key, other = stage.ask(), stage.ask("second", ("vehicle-01", "vehicle-02"))
+    stage.settle()
+    tip = stage.repository.tip
+    status, answer = explainer(json.dumps({"withdraw": key}).encode())
+    assert (status, answer["outcome"], answer["releases"]) == (
+        200,
+        "Withdrawn",
+        ["cloud-0/recorder-vehicle-00-vehicle-01"],
+    )
+    assert answer["lines"][0] == f"{key} would be withdrawn"
+    assert any(line.startswith("stops cloud-0/recorder-vehicle-00-vehicle-01 ") for line in answer["lines"])
+    assert any(line.startswith("changes vehicle-00/mqtt-bridge ") for line in answer["lines"])
+    assert not any("vehicle-02/mqtt-bridge" in line or other in line for line in answer["lines"])
+    assert stage.repository.tip == tip
+    assert {key, other} <= set(stage.tasks.objects)
+    assert explainer(b'{"withdraw": "cloud-0/nothing"}')[0] == 404
+    assert explainer(b'{"withdraw": null}')[0] == 404

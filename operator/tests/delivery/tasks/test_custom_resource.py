@@ -109,8 +109,22 @@ def test_people_see_reason_and_priority(api: Api) -> None:
     condition = {"type": "Accepted", "status": "False", "reason": "Postponed", "message": "m"}
     condition["lastTransitionTime"] = "2026-11-21T10:00:00Z"
     queue = {"since": "2026-11-21T10:00:00.5Z", "until": "2026-11-21T10:10:00Z", "position": 1}
-    status = {"observedGeneration": 1, "conditions": [condition], "queue": queue, "offloaded": True}
+    entry = {
+        "time": "2026-11-21T10:00:00Z",
+        "generation": 1,
+        "reason": "Postponed",
+        "message": "m",
+        "runs": ["x/y: c 1"],
+    }
+    status = {"observedGeneration": 1, "conditions": [condition], "queue": queue, "offloaded": True, "history": [entry]}
     api.merge(f"{TASKS}/shown/status", {"status": status})
+    assert api.get(f"{TASKS}/shown")["status"] == status
+    (definition,) = (
+        one
+        for one in api.get("/apis/robotkube.io/v1alpha1")["resources"]
+        if one["kind"] == "TaskDescription" and "/" not in one["name"]
+    )
+    assert definition["shortNames"] == ["task", "tasks", "td"]
     header = {"Accept": "application/json;as=Table;v=v1;g=meta.k8s.io"}
     path, settings = f"{TASKS}/shown", ["BearerToken"]
     answer = api.client.call_api(path, "GET", header_params=header, auth_settings=settings, _preload_content=False)

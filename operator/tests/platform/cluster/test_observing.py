@@ -28,8 +28,8 @@ except OSError as error:
 
 
 def asked(stage: Stage, name: str, sensor: str) -> str:
-    """A small demand: one pod on the road-side unit."""
-    placement = {"roles": ["roadside"]}
+    """A small demand: one pod in the cloud."""
+    placement = {"roles": ["cloud"]}
     return stage.submit(
         "cloud-0", name, application="object-detection", parameters={"sensor": sensor}, placement=placement
     )

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 from tests.stages.platform.table_one import Stage
 
-SENSORS = {"cloud": "vehicle-00", "edge": "vehicle-01", "roadside": "vehicle-02", "vehicle": "roadside-0"}
-AGENTS = {"cloud": "cloud-0", "edge": "edge-0", "roadside": "roadside-0"}
+SENSORS = {"cloud": "vehicle-00", "edge": "vehicle-01", "roadside": "roadside-0", "vehicle": "vehicle-02"}
+AGENTS = {"cloud": "cloud-0", "edge": "edge-0", "roadside": "roadside-0", "vehicle": "vehicle-02"}
 
 
 def test_every_role_offers_nodes_and_takes_services(stage: Stage) -> None:
@@ -24,7 +24,7 @@ def test_every_role_offers_nodes_and_takes_services(stage: Stage) -> None:
             f"p01-on-{role}",
             application="object-detection",
             parameters={"sensor": sensor},
-            placement={"roles": [role]},
+            placement={"roles": [role]} | ({"agents": [sensor]} if role == "vehicle" else {}),
         )
         for role, sensor in SENSORS.items()
     }
@@ -33,7 +33,7 @@ def test_every_role_offers_nodes_and_takes_services(stage: Stage) -> None:
         pod = stage.await_running(release)[release]
         agent, _, name = release.partition("/")
         assert name == f"object-detection-{SENSORS[role]}"
-        assert agent == AGENTS.get(role, agent)
+        assert agent == AGENTS[role]
         labels = stage.node_labels(pod.node)
         assert (labels["robotkube.io/role"], labels["robotkube.io/agent"]) == (role, agent)
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 from tests.stages.platform.running_platform import eventually
 from tests.stages.platform.table_one import Stage
 
-NAME = "object-detection-vehicle-02"
+NAME = "object-detection-roadside-0"
 OTHER = {"roadside-0": "edge-0", "edge-0": "roadside-0"}
 MOVED_SECONDS_MAX = 180.0  # 50 s until Kubernetes says that the node is not ready, 10 s until it counts as lost
 
@@ -23,7 +23,7 @@ def test_what_ran_on_a_lost_node_runs_on_another(stage: Stage) -> None:
         "cloud-0",
         "p06-anywhere",
         application="object-detection",
-        parameters={"sensor": "vehicle-02"},
+        parameters={"sensor": "roadside-0"},
         placement={"roles": ["roadside", "edge"]},
     )
     [release] = stage.await_releases_of(key)

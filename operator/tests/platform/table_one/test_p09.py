@@ -29,7 +29,7 @@ def asked(stage: Stage, name: str, sensor: str, requirement: dict[str, Any]) -> 
         provides="perception/detection",
         requirements=[requirement],
         parameters={"sensor": sensor},
-        placement={"roles": ["roadside"]},
+        placement={"roles": ["cloud"]},
     )
 
 
@@ -38,7 +38,7 @@ def test_requirements_meet_guarantees(stage: Stage) -> None:
     exact = asked(stage, "p09-exact", "vehicle-00", EXACT)
     fast = asked(stage, "p09-fast", "vehicle-01", FAST)
     impossible = asked(stage, "p09-impossible", "vehicle-02", IMPOSSIBLE)
-    releases = ["roadside-0/object-detection-vehicle-00", "roadside-0/object-detection-vehicle-01"]
+    releases = ["cloud-0/object-detection-vehicle-00", "cloud-0/object-detection-vehicle-01"]
     stage.await_running(*releases)
     assert [stage.annotation(release, "chart-version") for release in releases] == ["0.1.2", "0.2.2"]
     assert [stage.releases_of(key) for key in (exact, fast)] == [{releases[0]}, {releases[1]}]

@@ -130,16 +130,17 @@ INITIAL = """add:
 """
 
 
-def everything(tasks: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+def everything(tasks: Mapping[str, Mapping[str, Any]], perceiving: str = "roadside-0") -> dict[str, Any]:
     """All releases of a small fleet: players, an operator at an intersection, and what `tasks` (application ->
-    parameters) ask for."""
+    parameters) ask for; one agent offers perception."""
     files = {str(p.relative_to(REGISTRY)): p.read_text() for p in APPLICATIONS}
     files |= {str(p.relative_to(REGISTRY)): write_mapping({**load(p), "status": STATUS}) for p in CHARTS}
     catalogue = read_catalogue({**files, "policies/release.yaml": "assurance: none\n"})
     roles = {"cloud-0": "cloud", "roadside-0": "roadside", "vehicle-00": "vehicle"}
     agents = [Agent(name, role, name) for name, role in roles.items()]
-    capabilities = {"cloud-0": frozenset({"recording"}), "roadside-0": frozenset({"perception"})}
-    nodes = [NodeState(a.name, a.name, a.role, capabilities.get(a.name, frozenset()), True) for a in agents]
+    able = {agent.name: {"perception"} if agent.name == perceiving else set() for agent in agents}
+    able["cloud-0"].add("recording")
+    nodes = [NodeState(a.name, a.name, a.role, frozenset(able[a.name]), True) for a in agents]
     machines = fleet(agents, nodes)
     demands = initial_demands(catalogue, read_initial_policy(INITIAL), machines)
     for application, parameters in tasks.items():
@@ -183,15 +184,19 @@ def test_every_chart_is_used() -> None:
     ]
 
 
-@pytest.mark.parametrize(("sensor", "sent"), [("roadside-0", ["objects", "uncertainty"]), ("vehicle-00", [])])
-def test_results_leave_a_node_only_from_the_sensor_s_own_agent(sensor: str, sent: list[str]) -> None:
+@pytest.mark.parametrize(
+    ("sensor", "agent", "sent"),
+    [("roadside-0", "roadside-0", ["objects", "uncertainty"]), ("vehicle-00", "cloud-0", [])],
+)
+def test_results_leave_a_node_only_from_the_sensor_s_own_agent(sensor: str, agent: str, sent: list[str]) -> None:
     """The broker takes an agent's topics from that agent alone; another one's clouds are fetched."""
-    found = {release.key: release for release in everything({"object-detection": {"sensor": sensor}}).values()}
-    assert f"roadside-0/object-detection-{sensor}" in found
-    bridge = found["roadside-0/mqtt-bridge"].values["bridge"]
+    releases = everything({"object-detection": {"sensor": sensor}}, perceiving=agent)
+    found = {release.key: release for release in releases.values()}
+    assert f"{agent}/object-detection-{sensor}" in found
+    bridge = found[f"{agent}/mqtt-bridge"].values["bridge"]
     own = [topic["name"] for topic in bridge["out"] if not topic["name"].endswith("/pose")]
     assert own == [f"/vehicles/roadside_0/{word}" for word in sent]
-    clouds = [topic["name"] for topic in bridge["in"]]
+    clouds = [topic["name"] for topic in bridge["in"] if topic["name"].endswith("/pointcloud")]
     assert clouds == ([] if sent else ["/vehicles/vehicle_00/lidar_center/pointcloud"])
 
 

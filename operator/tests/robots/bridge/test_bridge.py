@@ -96,16 +96,18 @@ def test_sequences_go_on_when_a_topic_comes_back() -> None:
     assert sequences == [0, 1]
 
 
-def test_an_unknown_type_is_a_complaint_and_the_others_go_on() -> None:
+def test_an_unknown_type_is_not_carried_and_the_others_go_on() -> None:
     world = BridgeStage()
     world.configure(out=[{**CLOUD, "type": "nowhere/msg/Cloud"}, POSE])
     world.connect()
-    assert "message package nowhere is not installed" in str(world.bridge.complaint)
+    assert "message package nowhere is not installed" in str(world.bridge.not_carried)
+    assert "bridge_topics_refused 1\n" in world.bridge.metrics()
+    assert world.bridge.complaint is None
     world.network.endpoint(POSE["name"]).waiting = [b"x"]
     world.bridge.turn(0.0)
     assert len(world.channels["telemetry"].sent) == 1
     world.configure(out=[POSE])
-    assert world.bridge.complaint is None
+    assert world.bridge.not_carried == []
 
 
 def test_ready_means_configured_and_connected() -> None:
@@ -115,8 +117,54 @@ def test_ready_means_configured_and_connected() -> None:
     assert world.bridge.complaint == "not connected"
     world.connect()
     assert world.bridge.complaint is None
-    world.channels["telemetry"].events.refused("mqtt/x", "not authorised")
-    assert world.bridge.complaint == "mqtt/x: not authorised"
+    world.channels["telemetry"].lose()
+    assert world.bridge.complaint == "lost"
+
+
+def test_a_refused_topic_leaves_the_bridge_ready_for_the_others() -> None:
+    """It serves other applications, whose tasks would not be Ready with it."""
+    world = BridgeStage()
+    world.configure(into=[POSE, {**POSE, "name": "/other"}])
+    world.connect()
+    world.channels["telemetry"].events.refused("mqtt/other", "not authorised")
+    assert world.bridge.not_carried == ["mqtt/other: not authorised"]
+    assert world.bridge.complaint is None
+
+
+def test_what_was_refused_of_a_topic_is_forgotten_when_it_is_closed() -> None:
+    """Also what the broker answers after that: to messages under way, and to what takes back a retained one."""
+    world = BridgeStage()
+    world.configure(out=[TRANSFORM], into=[{**POSE, "name": "/other"}])
+    world.connect()
+    channel = world.channels["telemetry"]
+    for number in (1, 2):
+        world.network.endpoint(TRANSFORM["name"]).waiting = [b"x"]
+        world.bridge.turn(float(number))
+    channel.reject(1)
+    channel.events.refused("mqtt/other", "not authorised")
+    assert sorted(world.bridge.not_carried) == [
+        "mqtt/other: not authorised",
+        "mqtt/vehicles/vehicle_00/transform: not authorised",
+    ]
+    world.configure(out=[POSE])
+    assert world.bridge.not_carried == []
+    world.bridge.turn(3.0)
+    assert channel.sent[-1][:2] == ("mqtt/vehicles/vehicle_00/transform", b"")
+    for token in (2, 3):
+        channel.reject(token)
+    channel.events.refused("mqtt/other", "not authorised")
+    assert world.bridge.not_carried == []
+    assert world.bridge.complaint is None
+
+
+def test_a_topic_that_comes_back_is_refused_anew() -> None:
+    world = BridgeStage()
+    world.configure(into=[POSE])
+    world.connect()
+    world.configure()
+    world.configure(into=[POSE])
+    world.channels["telemetry"].events.refused("mqtt/vehicles/vehicle_00/pose", "not authorised")
+    assert world.bridge.not_carried == ["mqtt/vehicles/vehicle_00/pose: not authorised"]
 
 
 def test_the_log_says_once_why_there_is_no_connection() -> None:

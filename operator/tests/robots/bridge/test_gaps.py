@@ -75,7 +75,7 @@ def test_what_nobody_could_receive_is_reported_at_the_end() -> None:
     assert [fields["count"] for fields in world.logged("messages dropped")] == [190]
 
 
-def test_a_batch_that_the_broker_refuses_is_a_gap_and_a_complaint() -> None:
+def test_a_batch_that_the_broker_refuses_is_a_gap_and_named() -> None:
     world = BridgeStage()
     world.configure(out=[POSE])
     world.connect()
@@ -84,7 +84,7 @@ def test_a_batch_that_the_broker_refuses_is_a_gap_and_a_complaint() -> None:
         world.bridge.turn(float(number))
         world.channels["telemetry"].reject(1)
     assert gaps_sent(world, "telemetry") == [Gap(POSE["name"], WHERE, REFUSED, 1, 7, 7)]
-    assert "mqtt/vehicles/vehicle_00/pose: not authorised" in str(world.bridge.complaint)
+    assert "mqtt/vehicles/vehicle_00/pose: not authorised" in str(world.bridge.not_carried)
 
 
 def test_the_receiver_publishes_reported_gaps() -> None:

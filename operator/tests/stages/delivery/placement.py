@@ -20,9 +20,11 @@ API = "registry.robotkube.io/v1alpha1"
 SECOND = 1_000_000_000
 ROOM = Resources(1000, 2**30)
 HALF = {"cpu": "500m", "memory": "256Mi"}
-AGENTS = [Agent(f"edge-{i}", "edge", f"edge-{i}") for i in range(3)] + [Agent("cloud-0", "cloud", "cloud-0")]
+AGENTS = [Agent(f"roadside-{i}", "roadside", f"roadside-{i}") for i in range(3)] + [
+    Agent("cloud-0", "cloud", "cloud-0")
+]
 NODES = [NodeState(a.name, a.name, a.role, frozenset({"gpu"}), True, allocatable=ROOM) for a in AGENTS]
-ONE = {"name": "a", "release": "a-{{ task.name }}", "placement": {"role": "edge"}}
+ONE = {"name": "a", "release": "a-{{ task.name }}", "placement": {"role": "roadside"}}
 
 
 def chart(name: str = "worker", version: str = "0.1.0", **spec: Any) -> tuple[str, str]:

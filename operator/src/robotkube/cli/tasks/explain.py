@@ -45,6 +45,8 @@ def words(answer: Mapping[str, Any], with_changes: bool) -> Iterator[str]:
     """The explanation for people."""
     for condition in answer.get("status", {}).get("conditions", []):
         yield f"{condition['type']}={condition['status']} {condition['reason']}: {condition['message']}"
+    for entry in answer.get("status", {}).get("history", []):
+        yield f"{entry['time']} {entry['reason']} (generation {entry['generation']}): {entry['message']}"
     yield from answer["lines"]
     if with_changes:
         for change in answer["changes"]:

@@ -26,13 +26,13 @@ def naming(parser: argparse.ArgumentParser) -> None:
 def withdrawing(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `task withdraw`."""
     naming(parser)
-    parser.add_argument("--dry-run", action="store_true", help="only say what would happen")
+    parser.add_argument("--dry-run", action="store_true", help="only say what would go with it, as the manager sees it")
 
 
 def list_tasks(options: argparse.Namespace) -> Table:
     """List tasks, oldest first."""
     tasks = sorted(Platform(options).tasks(options.namespace), key=lambda t: t["metadata"].get("creationTimestamp", ""))
-    columns = ("task", "application", "state", "reason", "plan", "pull_request")
+    columns = ("task", "application", "priority", "state", "reason", "plan", "pull_request")
     return Table("tasks", columns, [row(task) for task in tasks])
 
 
@@ -77,7 +77,14 @@ def show_task(options: argparse.Namespace) -> Table:
     return Table("task", (), [{"metadata": metadata, "spec": task["spec"], "status": task.get("status", {})}], True)
 
 
-def withdraw_task(options: argparse.Namespace) -> None:
-    """Delete the task; the manager's next plan removes what only it asked for."""
-    Platform(options).withdraw(options.task, options.dry_run)
+def withdraw_task(options: argparse.Namespace) -> Table | None:
+    """Delete the task; the manager's next plan removes what only it asked for. A dry run asks the manager what that
+    is."""
+    platform = Platform(options)
+    platform.withdraw(options.task, options.dry_run)
     print(f"{'would withdraw' if options.dry_run else 'withdrawn'}: {options.task}", file=sys.stderr)
+    if not options.dry_run:
+        return None
+    answer = dict(platform.explain({"withdraw": options.task}))
+    text = "".join(f"{line}\n" for line in answer["lines"])
+    return Table("withdrawal", (), [answer], single=True, text=text)

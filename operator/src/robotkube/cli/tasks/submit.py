@@ -15,15 +15,17 @@ from robotkube.cli.output import Table
 from robotkube.cli.platform import Platform
 from robotkube.cli.tasks.listing import row, state
 from robotkube.delivery.tasks.core.mqtt_messages import own_event
-from robotkube.delivery.tasks.core.task_description import GROUP, VERSION
+from robotkube.delivery.tasks.core.task_description import GROUP, POSTPONED, VERSION
 from robotkube.errors import DocumentError, InputError, RefusalError
 from robotkube.foundation.documents.core.patterns import PARAMETER_KEY
 from robotkube.foundation.documents.core.times import time_text
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 
+SUBMITTED = "submitted"
 POLICIES = ("Reject", "Postpone", "Offload", "Preempt")
 POLL_SECONDS = 0.5
 WAIT_SECONDS_MAX = 3600.0
+WAIT_SECONDS = 600.0
 FILE_BYTES_MAX = 256 * 1024
 
 
@@ -49,7 +51,18 @@ def submitting(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `task submit`."""
     describing(parser)
     parser.add_argument(
-        "--wait", type=float, metavar="SECONDS", help=f"until it is ready or refused, at most {WAIT_SECONDS_MAX:.0f}"
+        "--wait",
+        type=float,
+        nargs="?",
+        const=WAIT_SECONDS,
+        metavar="SECONDS",
+        help=f"until it is ready (exit code 0) or refused (1), at most {WAIT_SECONDS_MAX:.0f}, "
+        f"{WAIT_SECONDS:.0f} without a number; 3 when it is neither in time",
+    )
+    parser.add_argument(
+        "--delete-if-refused",
+        action="store_true",
+        help="with --wait: withdraw it again when it is refused, unless it was there before",
     )
     parser.add_argument("--dry-run", action="store_true", help="only have the API server check it; see task explain")
 
@@ -58,6 +71,8 @@ def submit_task(options: argparse.Namespace) -> Table | None:
     """Submit the task, or change the one of this name; the same again changes nothing."""
     if options.wait is not None and not 0 < options.wait <= WAIT_SECONDS_MAX:
         raise InputError(f"--wait {options.wait:g}: give seconds above 0, at most {WAIT_SECONDS_MAX:.0f}")
+    if options.delete_if_refused and options.wait is None:
+        raise InputError("--delete-if-refused: needs --wait, which sees whether it is refused")
     document = described(options, time.time_ns())
     platform = Platform(options)
     metadata = document["metadata"]
@@ -66,7 +81,20 @@ def submit_task(options: argparse.Namespace) -> Table | None:
     print(f"{'would be ' if options.dry_run else ''}{done}: {key}", file=sys.stderr)
     if options.dry_run:
         return None
-    return _wait(platform, key, options.wait) if options.wait else Table("task", (), [{"task": key}], single=True)
+    if options.wait is None:
+        return Table("task", (), [{"task": key}], single=True)
+    table = _wait(platform, key, options.wait)
+    if table.refusal and options.delete_if_refused:
+        _delete_refused(platform, key, is_ours=done == SUBMITTED)
+    return table
+
+
+def _delete_refused(platform: Platform, key: str, is_ours: bool) -> None:
+    if not is_ours:
+        print(f"not withdrawn, since it was there before: {key}", file=sys.stderr)
+        return
+    platform.withdraw(key, dry_run=False)
+    print(f"withdrawn, since it was refused: {key}", file=sys.stderr)
 
 
 def described(options: argparse.Namespace, now_ns: int) -> dict[str, Any]:
@@ -145,7 +173,7 @@ def _write(platform: Platform, document: Mapping[str, Any], dry_run: bool) -> st
     writer = platform.task_writer(dry_run)
     metadata = document["metadata"]
     if writer.create(document):
-        return "submitted"
+        return SUBMITTED
     present = writer.find(metadata["namespace"], metadata["name"])
     if present is None:
         raise RefusalError("UnknownTask", f"{metadata['name']} was withdrawn meanwhile; submit it again")
@@ -158,7 +186,8 @@ def _write(platform: Platform, document: Mapping[str, Any], dry_run: bool) -> st
 
 
 def _wait(platform: Platform, key: str, seconds: float) -> Table:
-    """Wait until the task is ready; refused when it is refused, or not ready in time."""
+    """Wait until the task is ready; refused when it is refused, late when it is neither in time. One that is postponed
+    waits for its place."""
     end = time.monotonic() + seconds
     while True:
         task = platform.task(key)
@@ -166,12 +195,12 @@ def _wait(platform: Platform, key: str, seconds: float) -> Table:
         now = task["metadata"].get("generation") == task.get("status", {}).get("observedGeneration")
         accepted = conditions.get("Accepted", {})
         ready = conditions.get("Ready", {})
-        if now and accepted.get("status") == "False":
+        if now and accepted.get("status") == "False" and accepted.get("reason") != POSTPONED:
             text = f"{accepted['reason']}: {accepted['message']}"
             return Table("task", (), [row(task)], single=True, refusal=text)
         if now and ready.get("status") == "True":
             return Table("task", (), [row(task)], single=True)
         if time.monotonic() > end:
             text = f"not ready within {seconds:g} s: {state(task)}"
-            return Table("task", (), [row(task)], single=True, refusal=text)
+            return Table("task", (), [row(task)], single=True, unreachable=text)
         time.sleep(POLL_SECONDS)

@@ -12,6 +12,7 @@ from typing import Any, TextIO
 
 from robotkube.cli.platform import Platform
 from robotkube.errors import InputError
+from robotkube.foundation.documents.core.times import time_text
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
 
 WATCH_SECONDS_MAX = 86_400.0
@@ -50,17 +51,20 @@ def watch_tasks(options: argparse.Namespace) -> None:
                 print(f"robotkube: {watch.complaint}", file=sys.stderr)
             continue
         if options.task in ("", key):
-            for change in changes(key, before, now):
+            for change in changes(key, before, now, time_text(time.time_ns())):
                 write_change(change, options.output, sys.stdout)
             if options.task and now is None:
                 break
     watch.stop()
 
 
-def changes(key: str, before: Mapping[str, Any] | None, now: Mapping[str, Any] | None) -> Iterator[ConditionChange]:
-    """The conditions of a task that differ, and its coming and going."""
+def changes(
+    key: str, before: Mapping[str, Any] | None, now: Mapping[str, Any] | None, seen: str
+) -> Iterator[ConditionChange]:
+    """The conditions of a task that differ, and its coming and going, each with its time: `seen`, when it changed
+    before our eyes, else when the condition got its status."""
     if now is None:
-        yield {"task": key, "condition": "Withdrawn", "status": "True", "reason": "", "message": "", "time": ""}
+        yield {"task": key, "condition": "Withdrawn", "status": "True", "reason": "", "message": "", "time": seen}
         return
     if before is None:
         created = now["metadata"].get("creationTimestamp", "")
@@ -72,7 +76,7 @@ def changes(key: str, before: Mapping[str, Any] | None, now: Mapping[str, Any] |
                 "task": key,
                 "condition": kind,
                 **{part: str(condition.get(part, "")) for part in ("status", "reason", "message")},
-                "time": str(condition.get("lastTransitionTime", "")),
+                "time": seen if before else str(condition.get("lastTransitionTime", "")),
             }
 
 

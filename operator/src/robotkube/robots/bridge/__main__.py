@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import json
 import os
 import sys
 import time
@@ -49,7 +50,8 @@ def body(process: Process) -> None:
     fencing = fencing_of(pod)
     bridge = Bridge(RosNode(NODE_NAME), channel, sender, process.log, fencing)
     settings = SettingsWatch(bridge, process, fencing)
-    HealthServer(ready=lambda: settings.complaint, metrics=settings.metrics, port=pod.health_port).start()
+    pages = {"/not_carried": lambda: json.dumps(bridge.not_carried)}
+    HealthServer(ready=lambda: settings.complaint, metrics=settings.metrics, pages=pages, port=pod.health_port).start()
     settings.apply(read_text(pod.config_file, "the bridge's settings"), str(pod.config_file))
     if pod.config_map is not None:
         settings.watch(pod.config_map)

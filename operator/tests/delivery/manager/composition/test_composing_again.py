@@ -71,7 +71,7 @@ class History:
                 TaskPlacement(),
                 TaskPlacement(),
                 TaskPlacement(anti_affinity=(near, "d00-x")),
-                TaskPlacement(roles=("edge",)),
+                TaskPlacement(roles=("roadside",)),
             ]
         )
         wanted = self.chance.choice([(), (), (GuaranteeRequirement("delay", "atMost", 101, "ms"),)])
@@ -192,10 +192,10 @@ def test_values_of_a_release_are_checked_again_when_they_have_changed() -> None:
     schema = {"type": "object", "properties": {"x": {"type": "integer"}}}
     selector = Memo().index(inputs(schema=lambda chart, version: schema)).selector
     worker = selector.catalogue.charts["worker"][0]
-    selector.check_values(worker, {"x": 1}, "edge-0/a")
-    selector.check_values(worker, {"x": 1}, "edge-0/a")
+    selector.check_values(worker, {"x": 1}, "roadside-0/a")
+    selector.check_values(worker, {"x": 1}, "roadside-0/a")
     with pytest.raises(RefusalError, match="values"):
-        selector.check_values(worker, {"x": "one"}, "edge-0/a")
+        selector.check_values(worker, {"x": "one"}, "roadside-0/a")
 
 
 def test_composing_the_same_again_expands_nothing(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -36,10 +36,14 @@ from tests.stages.delivery.placement import (
 
 def test_a_node_takes_what_fits_and_the_rest_is_refused_with_every_reason() -> None:
     composition = compose(several(7), inputs())
-    assert sorted(r.namespace for r in composition.releases.values()) == sorted(["edge-0", "edge-1", "edge-2"] * 2)
+    assert sorted(r.namespace for r in composition.releases.values()) == sorted(
+        ["roadside-0", "roadside-1", "roadside-2"] * 2
+    )
     outcome = refusal(composition, "ops/t6")
     assert outcome.reason == "InsufficientResources"
-    assert "no agent for role edge has room: edge-0: has not enough room: cpu 500m of 0m free;" in outcome.message
+    assert (
+        "no agent for role roadside has room: roadside-0: has not enough room: cpu 500m of 0m free;" in outcome.message
+    )
     assert outcome.message.endswith("ask for less, or withdraw something that runs there")
 
 
@@ -57,7 +61,7 @@ def test_releases_of_others_take_room() -> None:
     assert refusal(composition).reason == "InsufficientResources"
     assert composition.releases == {}
     unknown = {path: replace(release, chart="stranger") for path, release in mine.items()}
-    assert places(compose([demand(task())], inputs(others=unknown))) == {"a-t": "edge-0"}
+    assert places(compose([demand(task())], inputs(others=unknown))) == {"a-t": "roadside-0"}
 
 
 def test_what_runs_keeps_its_place_before_anything_new_even_when_there_is_too_little_room() -> None:
@@ -73,7 +77,7 @@ def test_a_group_needs_room_for_all_of_it_on_one_node() -> None:
     pair = catalogue(application(ONE, {**ONE, "name": "b", "release": "b-{{ task.name }}"}, links=linked))
     composition = compose(several(4), inputs(pair))
     assert {r.name: r.namespace for r in composition.releases.values()} == {
-        f"{letter}-t{number}": f"edge-{number}" for number in range(3) for letter in "ab"
+        f"{letter}-t{number}": f"roadside-{number}" for number in range(3) for letter in "ab"
     }
     assert "(a, b: on one node, linked by ros) has room" in refusal(composition, "ops/t3").message
 
@@ -81,26 +85,26 @@ def test_a_group_needs_room_for_all_of_it_on_one_node() -> None:
 def test_a_pod_must_fit_on_one_of_the_nodes_of_an_agent() -> None:
     twins = [replace(NODES[0], name=f"n{i}", allocatable=Resources(600, 2**30)) for i in range(2)]
     composition = compose(several(3), inputs(nodes=twins))
-    assert places(replace(composition, outcomes={})) == {"a-t0": "edge-0", "a-t1": "edge-0"}
+    assert places(replace(composition, outcomes={})) == {"a-t0": "roadside-0", "a-t1": "roadside-0"}
     thin = [replace(node, allocatable=Resources(400, 2**30)) for node in twins]
     message = refusal(compose([demand(task())], inputs(nodes=thin))).message
-    assert "edge-0 (Node n0): has not enough room: cpu 500m of 400m free" in message
+    assert "roadside-0 (Node n0): has not enough room: cpu 500m of 400m free" in message
 
 
 def test_a_named_agent_needs_room_too_and_so_does_its_bridge() -> None:
-    named = catalogue(application({**ONE, "placement": {"agent": "edge-1"}}))
+    named = catalogue(application({**ONE, "placement": {"agent": "roadside-1"}}))
     outcome = refusal(compose(several(3), inputs(named)), "ops/t2")
     assert outcome.reason == "InsufficientResources"
-    assert "edge-1: has not enough room" in outcome.message
+    assert "roadside-1: has not enough room" in outcome.message
     topic = {
-        "name": "/t",
+        "name": "/vehicles/{{ placement.a | ros }}/t",
         "type": "a/msg/B",
         "channel": "telemetry",
         "reliability": "reliable",
         "durability": "volatile",
         "depth": 1,
     }
-    link = {"kind": "mqtt", "from": {"agent": "cloud-0"}, "to": {"service": "a"}, "topics": [topic]}
+    link = {"kind": "mqtt", "from": {"service": "a"}, "to": {"agent": "cloud-0"}, "topics": [topic]}
     bridge = application(
         {"name": "b", "release": "bridge", "placement": {"agent": "{{ agent }}"}}, name="bridge", word="link/mqtt"
     )
@@ -108,9 +112,9 @@ def test_a_named_agent_needs_room_too_and_so_does_its_bridge() -> None:
     full = [replace(node, allocatable=Resources(900, 2**30)) for node in NODES]
     composition = compose([demand(task())], inputs(linked, full))
     assert refusal(composition).reason == "InsufficientResources"
-    assert "edge-0 has no room for its bridge (cpu 500m of 400m free)" in refusal(composition).message
+    assert "roadside-0 has no room for its bridge (cpu 500m of 400m free)" in refusal(composition).message
     assert composition.releases == {}
-    assert places(compose([demand(task())], inputs(linked)))["bridge"] in ("cloud-0", "edge-0")
+    assert places(compose([demand(task())], inputs(linked)))["bridge"] in ("cloud-0", "roadside-0")
 
 
 # -- what a task says -------------------------------------------------------------------------------------------------
@@ -119,12 +123,12 @@ def test_a_named_agent_needs_room_too_and_so_does_its_bridge() -> None:
 @pytest.mark.parametrize(
     ("placement", "agent", "text"),
     [
-        (TaskPlacement(agents=("edge-2",)), "edge-2", ""),
-        (TaskPlacement(roles=("edge",)), "edge-0", ""),
-        (TaskPlacement(agents=("cloud-0",)), "", "one of the agents cloud-0: cloud-0: has role cloud, not edge"),
-        (TaskPlacement(agents=("edge-9",)), "", "one of the agents edge-9: no such agent is declared"),
-        (TaskPlacement(roles=("cloud",)), "", "edge-0: has role edge, the task wants cloud"),
-        (TaskPlacement(capabilities=("arm",)), "", "edge-2: lacks capability arm"),
+        (TaskPlacement(agents=("roadside-2",)), "roadside-2", ""),
+        (TaskPlacement(roles=("roadside",)), "roadside-0", ""),
+        (TaskPlacement(agents=("cloud-0",)), "", "one of the agents cloud-0: cloud-0: has role cloud, not roadside"),
+        (TaskPlacement(agents=("roadside-9",)), "", "one of the agents roadside-9: no such agent is declared"),
+        (TaskPlacement(roles=("cloud",)), "", "roadside-0: has role roadside, the task wants cloud"),
+        (TaskPlacement(capabilities=("arm",)), "", "roadside-2: lacks capability arm"),
     ],
 )  # fmt: skip
 def test_a_task_narrows_the_rule_and_never_widens_it(placement: TaskPlacement, agent: str, text: str) -> None:
@@ -138,23 +142,26 @@ def test_a_task_narrows_the_rule_and_never_widens_it(placement: TaskPlacement, a
 
 def test_a_demand_that_is_offloaded_goes_to_other_roles_with_the_same_capabilities() -> None:
     assert places(compose([demand(task(), roles=("cloud",))], inputs())) == {"a-t": "cloud-0"}
-    needs = catalogue(application({**ONE, "placement": {"role": "edge", "capabilities": ["gpu"]}}))
+    needs = catalogue(application({**ONE, "placement": {"role": "roadside", "capabilities": ["gpu"]}}))
     bare = [replace(node, capabilities=frozenset()) for node in NODES]
     composition = compose([demand(task(), roles=("cloud",))], inputs(needs, bare))
     assert "one of the roles cloud capability gpu: cloud-0: lacks capability gpu" in refusal(composition).message
 
 
 def test_tasks_keep_away_from_others_in_both_directions() -> None:
-    first, away = task("t0"), task("t1", placement=TaskPlacement(agents=("edge-0", "edge-1"), anti_affinity=("t0",)))
-    assert places(compose([demand(first), demand(away)], inputs())) == {"a-t0": "edge-0", "a-t1": "edge-1"}
-    late = task("t0", placement=TaskPlacement(agents=("edge-0",)))
-    backward = compose(
-        [demand(replace(away, placement=replace(away.placement, agents=("edge-0",)))), demand(late)], inputs()
+    first, away = (
+        task("t0"),
+        task("t1", placement=TaskPlacement(agents=("roadside-0", "roadside-1"), anti_affinity=("t0",))),
     )
-    assert "edge-0: runs what keeps away from ops/t0" in refusal(backward, "ops/t0").message
-    only = replace(away, placement=TaskPlacement(agents=("edge-0",), anti_affinity=("a-t0",)))
+    assert places(compose([demand(first), demand(away)], inputs())) == {"a-t0": "roadside-0", "a-t1": "roadside-1"}
+    late = task("t0", placement=TaskPlacement(agents=("roadside-0",)))
+    backward = compose(
+        [demand(replace(away, placement=replace(away.placement, agents=("roadside-0",)))), demand(late)], inputs()
+    )
+    assert "roadside-0: runs what keeps away from ops/t0" in refusal(backward, "ops/t0").message
+    only = replace(away, placement=TaskPlacement(agents=("roadside-0",), anti_affinity=("a-t0",)))
     assert (
-        "edge-0: runs a-t0, which the task keeps away from"
+        "roadside-0: runs a-t0, which the task keeps away from"
         in refusal(compose([demand(first), demand(only)], inputs()), "ops/t1").message
     )
     taken = compose([demand(first)], inputs()).releases
@@ -162,11 +169,11 @@ def test_tasks_keep_away_from_others_in_both_directions() -> None:
 
 
 def test_instances_of_a_service_are_spread_where_the_application_asks_for_it() -> None:
-    spread = catalogue(application({**ONE, "placement": {"role": "edge", "spread": True}}))
+    spread = catalogue(application({**ONE, "placement": {"role": "roadside", "spread": True}}))
     composition = compose(several(4), inputs(spread))
-    assert sorted(r.namespace for r in composition.releases.values()) == ["edge-0", "edge-1", "edge-2"]
+    assert sorted(r.namespace for r in composition.releases.values()) == ["roadside-0", "roadside-1", "roadside-2"]
     assert refusal(composition, "ops/t3").reason == "NoCapableNode"
-    assert "edge-1: runs another instance, and instances are spread" in refusal(composition, "ops/t3").message
+    assert "roadside-1: runs another instance, and instances are spread" in refusal(composition, "ops/t3").message
 
 
 # -- nodes that go ----------------------------------------------------------------------------------------------------
@@ -180,10 +187,10 @@ def test_a_service_leaves_a_lost_node_and_the_commit_says_why() -> None:
     assert next_loss_ns(gone, 40.0, 30 * SECOND) == 40 * SECOND + 1
     lost = inputs(nodes=gone, now=41, present=before)
     after = compose([demand(task())], lost)
-    assert places(after) == {"a-t": "edge-1"}
-    assert "edge-0: its Node is lost: edge-0" in choices(after)
+    assert places(after) == {"a-t": "roadside-1"}
+    assert "roadside-0: its Node is lost: roadside-0" in choices(after)
     changes = differences(after.releases, before)
-    assert lost_node_text(changes, lost.fleet, 41 * SECOND) == "node edge-0 lost for 41 s: a-t moved to edge-1"
+    assert lost_node_text(changes, lost.fleet, 41 * SECOND) == "node roadside-0 lost for 41 s: a-t moved to roadside-1"
     assert next_loss_ns(gone, 40.0, 41 * SECOND) is None
     back = inputs(present=after.releases)
     assert compose([demand(task())], back).releases == after.releases  # it does not move again
@@ -194,21 +201,21 @@ def test_a_service_whose_node_was_deleted_moves_at_once() -> None:
     before = compose([demand(task())], inputs()).releases
     without = inputs(nodes=NODES[1:], present=before)
     after = compose([demand(task())], without)
-    assert places(after) == {"a-t": "edge-1"}
+    assert places(after) == {"a-t": "roadside-1"}
     assert (
         lost_node_text(differences(after.releases, before), without.fleet, 0)
-        == "agent edge-0 has no node: a-t moved to edge-1"
+        == "agent roadside-0 has no node: a-t moved to roadside-1"
     )
 
 
 def test_bound_services_wait_for_their_agent_and_others_when_nobody_else_can_take_them() -> None:
     lost = [replace(node, ready=False, not_ready_since=0) for node in NODES]
-    named = catalogue(application({**ONE, "placement": {"agent": "edge-1"}}))
-    assert places(compose([demand(task())], inputs(named, lost, now=99))) == {"a-t": "edge-1"}
+    named = catalogue(application({**ONE, "placement": {"agent": "roadside-1"}}))
+    assert places(compose([demand(task())], inputs(named, lost, now=99))) == {"a-t": "roadside-1"}
     before = compose([demand(task())], inputs()).releases
     stays = compose([demand(task())], inputs(nodes=lost, now=99, present=before))
     assert stays.releases == before
-    assert "edge-0: its Node is lost, and nobody else can take it: it waits" in choices(stays)
+    assert "roadside-0: its Node is lost, and nobody else can take it: it waits" in choices(stays)
     elsewhere = compose([demand(task(conflict_policy="Offload"))], inputs(nodes=lost, now=99, present=before))
     assert refusal(elsewhere).reason == "NoCapableNode"
     assert refusal(compose([demand(task())], inputs(nodes=lost, now=99))).reason == "NoCapableNode"
@@ -218,15 +225,15 @@ def test_a_cordoned_node_keeps_what_it_has_and_takes_nothing_new() -> None:
     before = compose([demand(task())], inputs()).releases
     cordoned = [replace(NODES[0], cordoned=True), *NODES[1:]]
     composition = compose([demand(task()), demand(task("u"))], inputs(nodes=cordoned, present=before))
-    assert places(composition) == {"a-t": "edge-0", "a-u": "edge-1"}
+    assert places(composition) == {"a-t": "roadside-0", "a-u": "roadside-1"}
 
 
 def test_one_of_two_nodes_is_enough_for_an_agent() -> None:
     twins = [replace(NODES[0], name="old", ready=False, not_ready_since=0), replace(NODES[0], name="new")]
     one_lost = inputs(nodes=twins, now=99)
-    assert places(compose([demand(task())], one_lost)) == {"a-t": "edge-0"}
-    assert one_lost.fleet.loss("edge-0", 99 * SECOND) == ""
-    assert one_lost.fleet.capacities["edge-0"].total == ROOM  # a lost node gives no room
+    assert places(compose([demand(task())], one_lost)) == {"a-t": "roadside-0"}
+    assert one_lost.fleet.loss("roadside-0", 99 * SECOND) == ""
+    assert one_lost.fleet.capacities["roadside-0"].total == ROOM  # a lost node gives no room
 
 
 # -- values and shared releases ---------------------------------------------------------------------------------------
@@ -261,7 +268,7 @@ def test_without_a_schema_nothing_verified_is_written() -> None:
         "has no charts/worker/0.1.0.schema.json to check the values by; submit the chart again"
         in refusal(composition).message
     )
-    assert places(compose([demand(task())], inputs(schema=lambda chart, version: None))) == {"a-t": "edge-0"}
+    assert places(compose([demand(task())], inputs(schema=lambda chart, version: None))) == {"a-t": "roadside-0"}
 
 
 def test_demands_share_a_release_by_uniting_the_lists_that_may_be_united() -> None:
@@ -272,10 +279,10 @@ def test_demands_share_a_release_by_uniting_the_lists_that_may_be_united() -> No
     assert len(composition.releases) == 1
     assert release.values["topics"] == ["both", "t0", "t1"]
     assert [cause.task for cause in release.causes] == ["ops/t0", "ops/t1"]
-    apart = catalogue(application({**shared, "placement": {"agent": "edge-0"}}))
+    apart = catalogue(application({**shared, "placement": {"agent": "roadside-0"}}))
     outcome = refusal(compose([demand(task("t0")), demand(task("t1"))], inputs(apart)), "ops/t1")
     assert outcome.reason == "ReleaseInUse"
-    assert outcome.message == "release edge-0/shared is made by ops/t0 with other content"
+    assert outcome.message == "release roadside-0/shared is made by ops/t0 with other content"
 
 
 @pytest.mark.parametrize(
@@ -302,7 +309,7 @@ def test_a_release_that_is_shared_asks_for_room_once() -> None:
     shared = {**ONE, "release": "shared", "values": {"topics": ["{{ task.name }}"]}, "unite": ["topics"]}
     wanted = several(9)
     composition = compose(wanted, inputs(catalogue(application(shared))))
-    assert places(composition) == {"shared": "edge-0"}
+    assert places(composition) == {"shared": "roadside-0"}
     assert len(next(iter(composition.releases.values())).values["topics"]) == 9
 
 
@@ -310,25 +317,25 @@ def test_a_release_that_is_shared_asks_for_room_once() -> None:
 
 
 def test_the_reasons_of_many_candidates_are_counted() -> None:
-    agents = [Agent(f"edge-{i:04d}", "edge", f"edge-{i:04d}") for i in range(1000)]
+    agents = [Agent(f"site-{i:04d}", "roadside", f"site-{i:04d}") for i in range(1000)]
     nodes = [
         NodeState(a.name, a.name, a.role, frozenset(), i % 2 == 0, allocatable=ROOM) for i, a in enumerate(agents[:900])
     ]
     crowd = replace(inputs(), fleet=fleet(agents, nodes))
     text = "; ".join(choices(compose([demand(task())], crowd)))
-    assert "449 agents (edge-0002, edge-0004, edge-0006, edge-0008, edge-0010, ...): possible" in text
+    assert "449 agents (site-0002, site-0004, site-0006, site-0008, site-0010, ...): possible" in text
     assert (
-        "450 agents (edge-0001, edge-0003, edge-0005, edge-0007, edge-0009, ...): no Node is Ready and schedulable"
+        "450 agents (site-0001, site-0003, site-0005, site-0007, site-0009, ...): no Node is Ready and schedulable"
         in text
     )
     asked = task(placement=TaskPlacement(capabilities=("arm",)))
     message = refusal(compose([demand(asked)], crowd)).message
-    assert "900 agents (edge-0000, edge-0001, edge-0002, edge-0003, edge-0004, ...): lacks capability arm" in message
-    assert "100 agents (edge-0900, edge-0901, edge-0902, edge-0903, edge-0904, ...): has no Node" in message
+    assert "900 agents (site-0000, site-0001, site-0002, site-0003, site-0004, ...): lacks capability arm" in message
+    assert "100 agents (site-0900, site-0901, site-0902, site-0903, site-0904, ...): has no Node" in message
     assert len(message) < 500
 
 
 def test_release_files_of_others_are_never_composed() -> None:
-    stranger = Release("edge-0", "stranger", "worker", "0.1.0", "sha256:" + "0" * 64, {})
+    stranger = Release("roadside-0", "stranger", "worker", "0.1.0", "sha256:" + "0" * 64, {})
     composition = compose([demand(task())], inputs(others={stranger.path: stranger}))
-    assert places(composition) == {"a-t": "edge-1"}  # the emptiest
+    assert places(composition) == {"a-t": "roadside-1"}  # the emptiest

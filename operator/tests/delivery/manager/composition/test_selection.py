@@ -29,10 +29,10 @@ ARM = {"platforms": ["linux/arm64"]}
 
 
 def test_a_chart_runs_on_nodes_of_its_platforms_only() -> None:
-    mixed = [replace(node, platform="linux/arm64" if node.name == "edge-0" else "linux/amd64") for node in NODES]
+    mixed = [replace(node, platform="linux/arm64" if node.name == "roadside-0" else "linux/amd64") for node in NODES]
     composition = compose([demand(task())], inputs(nodes=mixed))
-    assert places(composition) == {"a-t": "edge-1"}
-    assert "edge-0: is linux/arm64, the chart runs on linux/amd64" in choices(composition)
+    assert places(composition) == {"a-t": "roadside-1"}
+    assert "roadside-0: is linux/arm64, the chart runs on linux/amd64" in choices(composition)
     foreign = [replace(node, platform="linux/arm64") for node in NODES]
     outcome = refusal(compose([demand(task())], inputs(nodes=foreign)))
     assert outcome.reason == "NoVerifiedVersion"
@@ -50,7 +50,7 @@ def test_the_highest_version_that_runs_there_is_taken() -> None:
 def test_a_pinned_release_keeps_its_version_while_it_may() -> None:
     both = catalogue(application(ONE), chart(version="0.2.0"))
     before = compose([demand(task())], inputs()).releases
-    pins = {"edge-0/a-t": ("worker", "0.1.0")}
+    pins = {"roadside-0/a-t": ("worker", "0.1.0")}
     kept = compose([demand(task())], inputs(both, present=before, pins=pins))
     assert kept.releases == before
     assert "worker 0.1.0 (staged): kept: the release runs it" in choices(kept)
@@ -67,11 +67,11 @@ def test_a_pinned_release_keeps_its_version_while_it_may() -> None:
 
 def test_a_withheld_version_is_taken_by_nobody_who_is_not_pinned_to_it() -> None:
     both = catalogue(application(ONE), chart(version="0.2.0"))
-    withheld = {("worker", "0.2.0"): "it failed on edge-1"}
+    withheld = {("worker", "0.2.0"): "it failed on roadside-1"}
     composition = compose([demand(task())], inputs(both, withheld=withheld))
     assert next(iter(composition.releases.values())).version == "0.1.0"
-    assert "worker 0.2.0 (staged): it failed on edge-1" in choices(composition)
-    pinned = inputs(both, withheld=withheld, present=composition.releases, pins={"edge-0/a-t": ("worker", "0.2.0")})
+    assert "worker 0.2.0 (staged): it failed on roadside-1" in choices(composition)
+    pinned = inputs(both, withheld=withheld, present=composition.releases, pins={"roadside-0/a-t": ("worker", "0.2.0")})
     assert next(iter(compose([demand(task())], pinned).releases.values())).version == "0.2.0"
 
 

@@ -15,6 +15,7 @@ from robotkube.delivery.manager.core.placement.capacity import Resources
 from robotkube.delivery.manager.core.placement.placement import NodeState, fleet
 from robotkube.delivery.manager.core.plans import differences, lost_node_text
 from robotkube.foundation.documents.adapters.json_schema import validate
+from robotkube.robots.ros.core.topic_patterns import ros_name
 from tests.stages.delivery.placement import (
     AGENTS,
     HALF,
@@ -33,7 +34,7 @@ from tests.stages.delivery.placement import (
 )
 
 ROOM = Resources(1000, 2**30)
-EDGE = {"role": "edge"}
+EDGE = {"role": "roadside"}
 TWO = [replace(NODES[0], name=f"n{number}", created=number, allocatable=ROOM) for number in (1, 2)]
 PAIR = [
     {"name": "a", "release": "a-{{ task.name }}", "placement": EDGE},
@@ -42,7 +43,7 @@ PAIR = [
 ROS = {"kind": "ros", "from": {"service": "a"}, "to": {"service": "b"}}
 LINKED = catalogue(application(*PAIR, links=[ROS]))
 QUALITY = {"channel": "telemetry", "reliability": "reliable", "durability": "volatile", "depth": 10}
-POSE = {"name": "/pose", "type": "geometry_msgs/msg/PoseStamped", **QUALITY}
+POSE = {"name": "/vehicles/roadside_0/pose", "type": "geometry_msgs/msg/PoseStamped", **QUALITY}
 BRIDGE = application(
     {
         "name": "bridge",
@@ -53,8 +54,8 @@ BRIDGE = application(
     name="bridge",
     word="link/mqtt",
 )
-BOUND = {"name": "a", "release": "a-{{ task.name }}", "placement": {"agent": "edge-0"}}
-TO_SERVICE = {"kind": "mqtt", "from": {"agent": "edge-0"}, "to": {"service": "a"}, "topics": [POSE]}
+BOUND = {"name": "a", "release": "a-{{ task.name }}", "placement": {"agent": "roadside-0"}}
+TO_SERVICE = {"kind": "mqtt", "from": {"agent": "roadside-0"}, "to": {"service": "a"}, "topics": [POSE]}
 
 
 def lost(node: NodeState) -> NodeState:
@@ -81,23 +82,26 @@ def spots(desired: Composition) -> dict[str, tuple[Any, Any]]:
 
 def test_with_one_node_no_node_is_named() -> None:
     composition = placements(compose([demand(task())], inputs(LINKED)))
-    assert composition == {"a-t": {"agent": "edge-0", "movable": True}, "b-t": {"agent": "edge-0", "movable": True}}
+    assert composition == {
+        "a-t": {"agent": "roadside-0", "movable": True},
+        "b-t": {"agent": "roadside-0", "movable": True},
+    }
     bound = placements(compose([demand(task())], inputs(catalogue(application(BOUND)))))
-    assert bound == {"a-t": {"agent": "edge-0"}}
+    assert bound == {"a-t": {"agent": "roadside-0"}}
 
 
 def test_a_group_is_on_one_node_and_the_next_one_where_there_is_room() -> None:
     composition = placements(compose(several(2), inputs(LINKED, TWO)))
     assert {name: (p["agent"], p["node"]) for name, p in composition.items()} == {
-        "a-t0": ("edge-0", "n1"),
-        "b-t0": ("edge-0", "n1"),
-        "a-t1": ("edge-0", "n2"),
-        "b-t1": ("edge-0", "n2"),
+        "a-t0": ("roadside-0", "n1"),
+        "b-t0": ("roadside-0", "n1"),
+        "a-t1": ("roadside-0", "n2"),
+        "b-t1": ("roadside-0", "n2"),
     }
     third = refusal(compose(several(3), inputs(LINKED, TWO)), "ops/t2")
     assert third.reason == "InsufficientResources"
-    assert "edge-0 (Node n1): has not enough room: cpu 1000m of 0m free" in third.message
-    assert "edge-0 (Node n2): has not enough room" in third.message
+    assert "roadside-0 (Node n1): has not enough room: cpu 1000m of 0m free" in third.message
+    assert "roadside-0 (Node n2): has not enough room" in third.message
 
 
 def test_a_group_must_fit_on_one_node_although_both_together_have_room() -> None:
@@ -108,7 +112,7 @@ def test_a_group_must_fit_on_one_node_although_both_together_have_room() -> None
 
 def test_a_capability_is_that_of_a_node() -> None:
     able = [TWO[0], replace(TWO[1], capabilities=frozenset({"disk"}))]
-    services = [PAIR[0], {**PAIR[1], "placement": {"role": "edge", "capabilities": ["disk"]}}]
+    services = [PAIR[0], {**PAIR[1], "placement": {"role": "roadside", "capabilities": ["disk"]}}]
     composition = compose([demand(task())], inputs(catalogue(application(*services, links=[ROS])), able))
     assert nodes_of(composition) == {"a-t": "n2", "b-t": "n2"}
 
@@ -127,16 +131,16 @@ def test_what_runs_stays_when_nodes_come_and_go_that_it_is_not_on() -> None:
 
 @pytest.mark.parametrize("gone", [False, True])
 def test_a_lost_node_of_two_gives_its_services_to_the_other_one(gone: bool) -> None:
-    others = [node for node in NODES if node.agent != "edge-0"]
+    others = [node for node in NODES if node.agent != "roadside-0"]
     first = compose([demand(task())], inputs(LINKED, [*TWO, *others]))
     assert set(nodes_of(first).values()) == {"n1"}
     left = [TWO[1], *others] if gone else [lost(TWO[0]), TWO[1], *others]
     around = inputs(LINKED, left, now=50, present=standing(first))
     second = compose([demand(task())], around)
-    assert places(second) == {"a-t": "edge-0", "b-t": "edge-0"}
+    assert places(second) == {"a-t": "roadside-0", "b-t": "roadside-0"}
     assert set(nodes_of(second).values()) == {"" if gone else "n2"}
     words = lost_node_text(differences(second.releases, standing(first)), around.fleet, 50 * SECOND)
-    why, where = ("agent edge-0 has no node n1", "its other node") if gone else ("node n1 lost for 50 s", "node n2")
+    why, where = ("agent roadside-0 has no node n1", "its other node") if gone else ("node n1 lost for 50 s", "node n2")
     assert words == f"{why}: a-t moved to {where}, b-t moved to {where}"
     anew = [replace(TWO[0], created=60 if gone else 1), TWO[1]]
     back = compose([demand(task())], inputs(LINKED, [*anew, *others], present=standing(second)))
@@ -156,12 +160,14 @@ def test_what_is_bound_moves_to_the_other_node_of_its_agent_and_stays_there() ->
     assert waiting.releases == second.releases
 
 
-TO_CLOUD = {"kind": "mqtt", "from": {"service": "a"}, "to": {"role": "cloud"}, "topics": [POSE]}
+OWN = {**POSE, "name": "/vehicles/{{ placement.a | ros }}/pose"}
+TO_CLOUD = {"kind": "mqtt", "from": {"service": "a"}, "to": {"role": "cloud"}, "topics": [OWN]}
 
 
 def test_the_bridge_is_on_the_node_of_whom_it_serves() -> None:
     known = catalogue(
-        application({**PAIR[0], "placement": {"role": "edge", "capabilities": ["disk"]}}, links=[TO_SERVICE]), BRIDGE
+        application({**PAIR[0], "placement": {"role": "roadside", "capabilities": ["disk"]}}, links=[TO_SERVICE]),
+        BRIDGE,
     )
     able = [TWO[0], replace(TWO[1], capabilities=frozenset({"disk"}))]
     desired = compose([demand(task())], inputs(known, [replace(node, allocatable=None) for node in able]))
@@ -171,8 +177,8 @@ def test_the_bridge_is_on_the_node_of_whom_it_serves() -> None:
         "mqtt-bridge-n1": {"out": [POSE], "in": []},  # the agent's own topics leave its home,
         "mqtt-bridge-n2": {"out": [], "in": [POSE]},  # and reach the other Node like any other machine
     }
-    assert placements(desired)["mqtt-bridge-n1"] == {"agent": "edge-0", "node": "n1"}
-    assert placements(desired)["mqtt-bridge-n2"] == {"agent": "edge-0", "node": "n2", "movable": True}
+    assert placements(desired)["mqtt-bridge-n1"] == {"agent": "roadside-0", "node": "n1"}
+    assert placements(desired)["mqtt-bridge-n2"] == {"agent": "roadside-0", "node": "n2", "movable": True}
 
 
 def test_names_of_bridges_stay_short() -> None:
@@ -231,7 +237,7 @@ def check(desired: Composition, nodes: Sequence[NodeState], needs: Mapping[str, 
         agent, node = spots.pop()
         assert (node != "") == (agent in several_nodes)
         assert node == "" or by_name[node].agent == agent
-        assert any(topic["name"] == "/pose" for topic in bridges[agent, node]["out"])
+        assert any(topic["name"] == f"/vehicles/{ros_name(agent)}/pose" for topic in bridges[agent, node]["out"])
     for release in desired.releases.values():
         placed = release.values["placement"]
         node = placed.get("node") or next(n.name for n in nodes if n.agent == placed["agent"])

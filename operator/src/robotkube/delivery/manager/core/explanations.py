@@ -23,11 +23,12 @@ class FileChange:
 
 @dataclass(frozen=True)
 class Explanation:
-    """The decision about a task: its outcome, every choice in words (one line each), and the files that change.
+    """The decision about a task: its outcome (None: it is withdrawn), every choice in words (one line each), and the
+    files that change.
     `waits`: for which agents its changes would wait, and until when; empty when they would be made at once."""
 
     key: str
-    outcome: DemandOutcome
+    outcome: DemandOutcome | None
     lines: tuple[str, ...]
     changes: tuple[FileChange, ...] = ()
     waits: str = ""
@@ -51,9 +52,31 @@ def explain(
         for other, (before, after) in sorted(others.items())
     ]
     lines += _changed(plan.changes if plan else ())
+    return Explanation(key, outcome, tuple(lines), _file_changes(plan, tree), waits)
+
+
+def explain_withdrawal(
+    key: str,
+    others: Mapping[str, tuple[DemandOutcome | None, DemandOutcome]],
+    plan: Plan | None,
+    tree: Tree,
+    waits: str = "",
+) -> Explanation:
+    """The explanation of a withdrawal. `others` are demands that fare otherwise without this task: their outcomes with
+    and without it; `plan` is what that changes on main; the rest as in `explain`."""
+    lines = [f"{key} would be withdrawn"]
+    lines += [f"that waits, {HELD_BY_AGENT}: {waits}"] if waits else ()
+    lines += [
+        f"{other} {_verdict(after)}; with this task it {_verdict(before)}"
+        for other, (before, after) in sorted(others.items())
+    ]
+    lines += _changed(plan.changes if plan else ())
+    return Explanation(key, None, tuple(lines), _file_changes(plan, tree), waits)
+
+
+def _file_changes(plan: Plan | None, tree: Tree) -> tuple[FileChange, ...]:
     files = plan.files if plan else {}
-    changes = tuple(FileChange(p, _text(p, tree), files[p]) for p in sorted(files))
-    return Explanation(key, outcome, tuple(lines), changes, waits)
+    return tuple(FileChange(path, _text(path, tree), files[path]) for path in sorted(files))
 
 
 def _verdict(outcome: DemandOutcome | None) -> str:

@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from robotkube.delivery.manager.core.composition.inputs import Refused
+from robotkube.delivery.tasks.core.refusal_outlooks import without_outlook
 from robotkube.delivery.tasks.core.task_description import (
     INVALID_PARAMETERS,
     LEASE_EXPIRED,
@@ -136,7 +137,8 @@ def past_decision(document: Mapping[str, Any]) -> PastDecision:
     if status.get("observedGeneration") != document.get("metadata", {}).get("generation", 1):
         return PastDecision()
     accepted: Mapping[str, Any] = next((c for c in status.get("conditions", []) if c.get("type") == "Accepted"), {})
-    reason, message = accepted.get("reason"), str(accepted.get("message", ""))
+    reason = accepted.get("reason")
+    message = without_outlook(str(reason), str(accepted.get("message", "")))
     settled = Refused(reason, message) if reason in SETTLED_REASONS and accepted.get("status") == "False" else None
     since = (status.get("queue") or {}).get("since") if reason == POSTPONED else None
     return PastDecision(_nanoseconds(since), settled, bool(status.get("offloaded")))

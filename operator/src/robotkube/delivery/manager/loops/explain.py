@@ -1,7 +1,8 @@
 """Explanations of what would become of a task: POST /explain of the manager (docs/reference/contracts.md).
 
-The question is `{"task": "<namespace>/<name>"}` for a task that is there, or a TaskDescription with its namespace for
-one that is not submitted yet. Nothing is changed by it. One question at a time, so that asking cannot hold planning up.
+The question is `{"task": "<namespace>/<name>"}` for a task that is there, `{"withdraw": "<namespace>/<name>"}` for what
+would go with it, or a TaskDescription with its namespace for one that is not submitted yet. Nothing is changed by it.
+One question at a time, so that asking cannot hold planning up.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import threading
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
+from robotkube.delivery.deployment.core.releases import RELEASES
 from robotkube.delivery.manager.core.composition.inputs import Met
 from robotkube.delivery.manager.core.conflicts import Postponed
 from robotkube.delivery.manager.core.explanations import Explanation
@@ -27,9 +29,10 @@ ExplanationResponse = tuple[int, Mapping[str, Any]]
 
 
 class Explainer:
-    """The handler that answers questions by `what_if`, about tasks of `store` or new ones."""
+    """The handler that answers questions by `what_if`, about tasks of `store` or new ones; it gets the key of a task
+    that would be withdrawn, else the document."""
 
-    def __init__(self, what_if: Callable[[Mapping[str, Any]], Explanation], store: TaskStore) -> None:
+    def __init__(self, what_if: Callable[[Mapping[str, Any] | str], Explanation], store: TaskStore) -> None:
         self._what_if = what_if
         self._store = store
         self._free = threading.Semaphore(1)
@@ -49,8 +52,9 @@ class Explainer:
         problems = json_problems(question, "") if isinstance(question, dict) else ["must be a JSON object"]
         if problems:
             return 400, {"message": "; ".join(problems)[:2000]}
-        key = question.get("task")
-        document = question if key is None else self._find(key)
+        withdrawn = "withdraw" in question
+        key = question["withdraw"] if withdrawn else question.get("task")
+        document = question if key is None and not withdrawn else self._find(key)
         if document is None:
             return 404, {"message": f"there is no task {key!r:.400}"}
         problem = _metadata_problem(document)
@@ -59,7 +63,7 @@ class Explainer:
         if not self._free.acquire(timeout=BUSY_SECONDS_MAX):
             return 429, {"message": "other questions are being answered; ask again"}
         try:
-            return 200, explanation_document(self._what_if(document))
+            return 200, explanation_document(self._what_if(object_key(document) if withdrawn else document))
         except RobotKubeError as error:
             return 503, {"message": str(error)}
         finally:
@@ -90,7 +94,11 @@ def explanation_document(explanation: Explanation) -> dict[str, Any]:
     """The document of an explanation: the outcome, its reason and message, what its changes would wait for, every
     choice in words, and the files that change."""
     outcome = explanation.outcome
-    if isinstance(outcome, Met):
+    if outcome is None:
+        gone = [change.path for change in explanation.changes if change.after is None]
+        releases = [p.removeprefix(f"{RELEASES}/").removesuffix(".yaml") for p in gone if p.startswith(f"{RELEASES}/")]
+        answer = {"outcome": "Withdrawn", "reason": "Withdrawn", "message": "", "releases": releases}
+    elif isinstance(outcome, Met):
         answer = {"outcome": "Accepted", "reason": "Accepted", "message": "", "releases": list(outcome.releases)}
     else:
         word = "Postponed" if isinstance(outcome, Postponed) else "Refused"

@@ -23,7 +23,7 @@ from robotkube.delivery.manager.core.composition.composer import (
 )
 from robotkube.delivery.manager.core.composition.initial_demands import initial_demands
 from robotkube.delivery.manager.core.conflicts import DemandOutcome, History, Postponed, Resolution, resolve
-from robotkube.delivery.manager.core.explanations import Explanation, explain
+from robotkube.delivery.manager.core.explanations import Explanation, explain, explain_withdrawal
 from robotkube.delivery.manager.core.placement.placement import (
     NODE_LOST_SECONDS,
     Agent,
@@ -221,10 +221,13 @@ class Planner:
         suites = [rule.name for rule in policy.suites] if policy else []
         return describe(plan, self.desired, self.tasks, self._catalogue.catalogue, suites)
 
-    def what_if(self, document: Mapping[str, Any]) -> Explanation:
+    def what_if(self, document: Mapping[str, Any] | str) -> Explanation:
         """Explain what would become of a TaskDescription (a new one, or one in place of that of its name) beside what
-        was decided last, without any effect. Times that the document lacks are those of the last plan."""
+        was decided last, or of everything else without the task of a key; no effect. Times that the document lacks are
+        those of the last plan."""
         with self._lock:
+            if isinstance(document, str):
+                return self._what_without(document)
             key = object_key(document)
             task = self._ledger.foresee(document, self._now_ns)
             if isinstance(task, Refused):
@@ -232,11 +235,7 @@ class Planner:
             history = self._ledger.history(self._causes()).without(key)
             tasks = [*(known for known in self._planned_tasks if known.key != key), task]
             resolution = self._resolve(tasks, history)
-            others = {
-                other: (self.outcomes.get(other), outcome)
-                for other, outcome in resolution.outcomes.items()
-                if other != key and type(outcome) is not type(self.outcomes.get(other))
-            }
+            others = self._faring_otherwise(resolution, key)
             changes = self._changes(resolution.desired, remember=False)
             outcome = resolution.outcomes.get(key, UNDECIDED)
             plan = self._difference(changes, resolution.desired, {**self.tasks, key: task})
@@ -244,6 +243,26 @@ class Planner:
             outcome, plan = (refusal, None) if refusal else (outcome, plan)
             waits = self._constraints.waits(changes, self._all_holds(), self._now_ns).get(key, "")
             return explain(key, outcome, others, plan, self._main.tree, waits)
+
+    def _what_without(self, key: str) -> Explanation:
+        """Explain what would become of everything else when a task is withdrawn."""
+        left = {other: task for other, task in self.tasks.items() if other != key}
+        tasks = [task for task in self._planned_tasks if task.key != key]
+        resolution = self._resolve(tasks, self._ledger.history(self._causes()).without(key), live=left)
+        changes = self._changes(resolution.desired, remember=False)
+        plan = self._difference(changes, resolution.desired, left)
+        waits = self._constraints.waits(changes, self._all_holds(), self._now_ns).get(key, "")
+        return explain_withdrawal(key, self._faring_otherwise(resolution, key), plan, self._main.tree, waits)
+
+    def _faring_otherwise(
+        self, resolution: Resolution, key: str
+    ) -> dict[str, tuple[DemandOutcome | None, DemandOutcome]]:
+        """The demands beside one whose outcomes are others than those decided last: both outcomes."""
+        return {
+            other: (self.outcomes.get(other), outcome)
+            for other, outcome in resolution.outcomes.items()
+            if other != key and type(outcome) is not type(self.outcomes.get(other))
+        }
 
     def _unverified(self, key: str, outcome: DemandOutcome, plan: Plan | None) -> Refused | None:
         """The refusal of a demand for the images of its releases in a plan; None when there is none."""
@@ -357,12 +376,17 @@ class Planner:
         return self._inputs(self.tasks[key]) if key in self.tasks else None
 
     def _resolve(
-        self, tasks: Sequence[TaskDescription], history: History, pins: Mapping[str, Pin] | None = None
+        self,
+        tasks: Sequence[TaskDescription],
+        history: History,
+        pins: Mapping[str, Pin] | None = None,
+        live: Mapping[str, TaskDescription] | None = None,
     ) -> Resolution:
         """The resolution of the initial configuration and the tasks within the manager's constraints, besides what main
-        holds now; changes nothing here. `pins` are the versions that releases keep (None: those of main). Every round
-        leaves out tasks that the one before showed to be outside of them."""
-        live = {**self.tasks, **{task.key: task for task in tasks}}
+        holds now; changes nothing here. `pins` are the versions that releases keep (None: those of main), `live` the
+        tasks that are there (None: all). Every round leaves out tasks that the one before showed to be outside of
+        them."""
+        live = {**(self.tasks if live is None else live), **{task.key: task for task in tasks}}
         keys = {task.key for task in tasks}
         releases = tuple(self._main.tree.releases.values())
         gone = _gone({k: o for k, o in self._ledger.outcomes.items() if k not in keys})

@@ -111,9 +111,9 @@ class ApplicationManager:
         """The document of GET /catalogue."""
         return catalogue_page(self._catalogue.catalogue, self._catalogue.tip)
 
-    def what_if(self, document: Mapping[str, Any]) -> Explanation:
-        """What would become of a TaskDescription, without any effect; from any thread."""
-        return self._planner.what_if(document)
+    def what_if(self, question: Mapping[str, Any] | str) -> Explanation:
+        """What would become of a TaskDescription, or without the task of a key; no effect; from any thread."""
+        return self._planner.what_if(question)
 
     # -- waking ---------------------------------------------------------------------------------------------------
 

@@ -13,9 +13,11 @@ from robotkube.delivery.deployment.core.policies.edits import PATH as EDITS
 from robotkube.delivery.deployment.core.releases import RELEASES, Release, application_name
 from robotkube.delivery.manager.core.composition.inputs import Met, Refused
 from robotkube.delivery.manager.core.conflicts import DemandOutcome, Postponed
+from robotkube.delivery.manager.core.decision_history import with_decision
 from robotkube.delivery.manager.core.observation import ApplicationState, ReleaseVerdict, judge_present
 from robotkube.delivery.manager.core.standing_demands import moment
 from robotkube.delivery.manager.loops.proposals.plan_records import PlanRecord
+from robotkube.delivery.tasks.core.refusal_outlooks import with_outlook
 from robotkube.delivery.tasks.core.task_description import (
     EDITED_BY_HAND,
     HELD_BY_AGENT,
@@ -135,6 +137,7 @@ class StatusWriter:
             "observedGeneration": generation,
             "conditions": write_conditions(conditions, before.get("conditions", []), generation, now),
             **facts,
+            **_history(situation.outcomes.get(key), conditions[0], before.get("history", []), generation, now),
         }
         if all(before.get(name) == value for name, value in status.items()):
             return None
@@ -181,6 +184,20 @@ class StatusWriter:
             return True
 
 
+def _history(
+    outcome: DemandOutcome | None,
+    accepted: StatusCondition,
+    before: Sequence[Mapping[str, Any]],
+    generation: int,
+    now: str,
+) -> dict[str, Any]:
+    """The status field `history`; nothing while the task was not decided."""
+    if outcome is None:
+        return {}
+    runs = outcome.runs if isinstance(outcome, Met) else ()
+    return {"history": with_decision(before, generation, accepted.reason, runs, accepted.message, now)}
+
+
 def _is_progress(before: Mapping[str, Any], after: Mapping[str, Any]) -> bool:
     """Whether the same conditions stand for the same reasons, and only their messages differ."""
     return _without_messages(before) == _without_messages(after)
@@ -207,7 +224,8 @@ def derive(key: str, situation: Situation) -> tuple[list[StatusCondition], dict[
         obstacle = _obstacle(situation)
         return [StatusCondition(kind, status, *obstacle) for kind, status in UNDECIDED.items() if obstacle], {}
     if isinstance(outcome, Refused):
-        return [StatusCondition("Accepted", "False", outcome.reason, _bounded(outcome.message))], dict(CLEARED)
+        message = with_outlook(outcome.reason, outcome.message, MESSAGE_CHARACTERS_MAX)
+        return [StatusCondition("Accepted", "False", outcome.reason, message)], dict(CLEARED)
     if isinstance(outcome, Postponed):
         queue = {"since": time_text(outcome.since_ns), "until": moment(outcome.until_ns), "position": outcome.position}
         return [StatusCondition("Accepted", "False", POSTPONED, _bounded(outcome.message))], {**CLEARED, "queue": queue}

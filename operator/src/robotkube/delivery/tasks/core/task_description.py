@@ -44,6 +44,7 @@ REFUSAL_TEXTS: Mapping[str, str] = {
     NO_CAPABLE_NODE: "no agent with a usable node has the role, capabilities and neighbours that are asked for",
     INSUFFICIENT_RESOURCES: "the resource requests do not fit beside what is planned on the capable nodes",
     "CompositionFailed": "the application's services cannot be put together with these parameters",
+    "LinkNotPermitted": "the broker refuses a topic of a link: its sender may not write it, or its receiver read it",
     RELEASE_IN_USE: "another demand needs a release of the same name with other content",
     POSTPONED: "a conflict with other demands; the task waits in the queue",
     QUEUE_FULL: "a conflict with other demands, and the queue has no place left",

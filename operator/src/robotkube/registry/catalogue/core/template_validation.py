@@ -16,6 +16,8 @@ from robotkube.foundation.documents.core.schema_samples import Sampler
 from robotkube.foundation.documents.core.value_templates import FOR_EACH_KEYS, expand_for_each
 from robotkube.foundation.documents.core.yaml_codec import join
 from robotkube.registry.catalogue.core.applications import Application, Link, Service
+from robotkube.registry.catalogue.core.links.circles import circle_problems
+from robotkube.registry.catalogue.core.links.loops import link_variables, repetitions
 from robotkube.registry.catalogue.core.sources import ChartFolder, Tools, dotted
 from robotkube.registry.charts.core.values_schemas import overlay
 
@@ -26,7 +28,7 @@ LOOPS_TRIED_MAX = 3
 SHOWN_CHARACTERS_MAX = 120
 CHART_NAMES = ("name", "version", "digest")
 TASK_NAMES = ("name", "namespace", "event", "rule", "trace", "time", "requester")
-AGENT = "vehicle-00"
+AGENT, OTHER_AGENT = "vehicle-00", "vehicle-01"
 
 _TASK = {
     "name": "task-1", "namespace": "cloud-0", "event": "event-1", "rule": "rule-1", "trace": "0" * 32,
@@ -54,7 +56,8 @@ def application_problems(
         [problem for sample in samples for problem in _Trial(application, names, sample, folders, tools).problems()]
         for names in _modes(application)
     ]
-    for key, text in min(tries, key=lambda attempt: len({key for key, _ in attempt})):
+    best = min(tries, key=lambda attempt: len({key for key, _ in attempt}))
+    for key, text in [*best, *_circles(application, samples, tools)]:
         if key not in reported:
             reported.add(key)
             problems.append((key, text))
@@ -66,6 +69,17 @@ def _sampling(sampler: Sampler) -> Iterator[Problem]:
         if not values:
             text = "no value was found that its schema accepts, so its templates cannot be tried"
             yield f"spec.parameters.properties.{name}", f"{text}; add `examples: [...]` with one that fits"
+
+
+def _circles(application: Application, samples: Sequence[Mapping[str, Any]], tools: Tools) -> Iterator[Problem]:
+    placed = {service.name: AGENT for service in application.services}
+    names = [
+        {"placement": placed, "parameters": with_defaults(application.parameters, sample), **mode, **other}
+        for sample in samples
+        for mode in ([] if application.bridges else _modes(application))
+        for other in ({}, {"agent": OTHER_AGENT} if "agent" in mode else {})
+    ]
+    yield from circle_problems(application, names, (AGENT, OTHER_AGENT), tools.render)
 
 
 def _modes(application: Application) -> Sequence[Mapping[str, Any]]:
@@ -124,7 +138,7 @@ def _texts(application: Application) -> Iterator[tuple[str, str, frozenset[str]]
         yield from template_texts(service.values, f"{path}.values", variables)
     for index, link in enumerate(application.links):
         path = f"spec.links[{index}]"
-        variables = frozenset(link.for_each)
+        variables = link_variables(link, application.services)
         yield from template_texts(link.for_each, f"{path}.forEach", frozenset())
         yield from template_texts(dict(link.source), f"{path}.from", variables)
         yield from template_texts(dict(link.target), f"{path}.to", variables)
@@ -166,16 +180,16 @@ class _Trial:
             for key, text in self._link(link, f"spec.links[{index}]"):
                 yield key, text + hint
 
-    def _scopes(self, for_each: Mapping[str, Any]) -> list[dict[str, Any]]:
-        names = dict(self.names)
-        if "topics" not in names:
-            parameters = with_defaults(self.application.parameters, self.sample)
-            names |= {"parameters": parameters, "placement": self.placed}
-        return list(islice(expand_for_each(for_each, names, self.tools.render), LOOPS_TRIED_MAX))
+    def _given(self) -> dict[str, Any]:
+        """The names for templates outside of every loop."""
+        if "topics" in self.names:
+            return dict(self.names)
+        parameters = with_defaults(self.application.parameters, self.sample)
+        return {**self.names, "parameters": parameters, "placement": self.placed}
 
     def _service(self, service: Service, path: str) -> Iterator[Problem]:
         try:
-            scopes = self._scopes(service.for_each)
+            scopes = list(islice(expand_for_each(service.for_each, self._given(), self.tools.render), LOOPS_TRIED_MAX))
         except DocumentError as error:
             yield f"{path}.forEach", f"{error}; give a list"
             return
@@ -205,7 +219,9 @@ class _Trial:
 
     def _link(self, link: Link, path: str) -> Iterator[Problem]:
         try:
-            scopes = self._scopes(link.for_each)
+            names = self._given()
+            loops = repetitions(link, self.application.services, names, self.tools.render)
+            scopes = [{**names, **loop} for loop in islice(loops, LOOPS_TRIED_MAX)]
         except DocumentError as error:
             yield f"{path}.forEach", f"{error}; give a list"
             return

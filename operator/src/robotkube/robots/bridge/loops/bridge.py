@@ -36,7 +36,8 @@ Log = Callable[..., None]
 
 
 class Bridge:
-    """Carries topics as `configure` says. All methods belong to one thread, `complaint` and `metrics` to any.
+    """Carries topics as `configure` says. All methods belong to one thread, but for `complaint`, `not_carried` and
+    `metrics`, which belong to any.
 
     After a connection was lost and made again, nothing leaves until the release is no longer fenced (`fencing` is
     sure) and `hold` was called with that."""
@@ -76,7 +77,7 @@ class Bridge:
 
     def configure(self, settings: BridgeSettings) -> None:
         """Carry these topics from now on. Only what differs is closed and opened; a topic that cannot be opened
-        (unknown type) is a complaint, and the others go on."""
+        (unknown type) is not carried, and the others go on."""
         old = self._settings
         self._settings = settings
         self._sender.trace = settings.trace or self._own_trace
@@ -145,19 +146,25 @@ class Bridge:
 
     @property
     def complaint(self) -> str | None:
-        """The reason why the bridge is not ready; None: settings applied, every topic open, every connection made."""
+        """The reason why the bridge is not ready; None: settings applied, every connection made. What cannot be carried
+        of one topic is none: the bridge serves other applications as well."""
         if self._settings is None:
             return "no settings yet"
         for link in list(self._links.values()):
             if link.channel.complaint is not None:
                 return link.channel.complaint
+        return None
+
+    @property
+    def not_carried(self) -> list[str]:
+        """What of the topics is not carried, and why: a sentence each; forgotten with the topic."""
         refusals = (sentence for link in list(self._links.values()) for sentence in list(link.refusals.values()))
-        return "; ".join([*list(self._problems.values()), *refusals]) or None
+        return [*list(self._problems.values()), *refusals]
 
     def metrics(self) -> str:
         """Counters in Prometheus' text format."""
         carried = BridgeState(list(self._outgoing.values()), list(self._incoming.values()), list(self._links.values()))
-        lines = [*metric_lines(carried), f"topics_refused {len(self._problems)}", f"held {int(self._pause.held)}"]
+        lines = [*metric_lines(carried), f"topics_refused {len(self.not_carried)}", f"held {int(self._pause.held)}"]
         return "".join(f"robotkube_bridge_{line}\n" for line in lines)
 
     def _link(self, name: str, agent: str) -> BrokerConnection:

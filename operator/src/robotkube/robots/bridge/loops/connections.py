@@ -66,6 +66,7 @@ class BrokerConnection:
         self.refused_batches = 0
         self.connections = 0
         self.refusals: dict[str, str] = {}
+        self._sending: set[str] = set()
         self._log = log
         self._clock = clock
         self._opened = opened
@@ -93,8 +94,11 @@ class BrokerConnection:
         """Change the subscriptions; what stays, and what takes another's place, has no gap."""
         before = self.filters
         self.filters = tuple(dict.fromkeys(self._wanted()))
+        ended = [name for name in before if name not in self.filters]
         self.channel.subscribe([name for name in self.filters if name not in before])
-        self.channel.unsubscribe([name for name in before if name not in self.filters])
+        self.channel.unsubscribe(ended)
+        for name in ended:
+            self._forget_refusal(name)
 
     def _wanted(self) -> Iterator[str]:
         """The filters to subscribe to: nothing twice, so that nothing comes twice."""
@@ -109,12 +113,15 @@ class BrokerConnection:
 
     def put(self, batch: OutgoingBatch) -> None:
         """Send a batch when its turn comes."""
+        self._sending.add(batch.topic)
         self.outbox.put(batch)
         if batch.retained:
             self.retained[batch.topic] = batch
 
     def withdraw(self, topic: str) -> None:
         """Forget an MQTT topic, also at the broker, unless it may be somebody else's by now."""
+        self._sending.discard(topic)
+        self._forget_refusal(topic)
         self.outbox.forget(topic)
         if self.retained.pop(topic, None) is not None and not self._pause.held:
             self.outbox.put(OutgoingBatch(topic, b"", 0, True, self._now))
@@ -147,15 +154,22 @@ class BrokerConnection:
     def rejected(self, token: int, reason: str) -> None:
         """Give up a batch that the broker does not accept."""
         batch = self.outbox.rejected(token)
-        self.refused("" if batch is None else batch.topic, reason)
+        if batch is not None:
+            self.refused(batch.topic, reason)
 
     def refused(self, topic: str, reason: str) -> None:
-        """Keep a refusal of the broker as a complaint until the next connection."""
+        """Keep a refusal of the broker until the next connection, or until the topic is closed: what is answered after
+        that is only logged."""
         if topic not in self.refusals:
             if len(self.refusals) >= REFUSALS_MAX:
                 return
             self._log("refused by the broker", channel=self.name, topic=topic, reason=reason)
-        self.refusals[topic] = f"{topic or self.name}: {reason}"
+        if topic in self._sending or topic in self.filters:
+            self.refusals[topic] = f"{topic}: {reason}"
+
+    def _forget_refusal(self, topic: str) -> None:
+        if topic not in self._sending and topic not in self.filters:
+            self.refusals.pop(topic, None)
 
     def received(self, topic: str, payload: bytes, properties: bytes) -> None:
         """Publish a message's content, unless it was here before."""

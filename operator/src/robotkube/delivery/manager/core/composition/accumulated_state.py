@@ -118,7 +118,15 @@ def release_keys(expansion: Expansion, bridges: Mapping[End, str]) -> set[str]:
 def met(contribution: Contribution, bridges: Mapping[End, str]) -> Met:
     """How a contribution's demand is met."""
     expansion = contribution.expansion
-    return Met(tuple(sorted(release_keys(expansion, bridges))), contribution.choices, expansion.application)
+    keys = tuple(sorted(release_keys(expansion, bridges)))
+    return Met(
+        keys, contribution.choices, expansion.application, tuple(sorted(map(_runs, expansion.releases.values())))
+    )
+
+
+def _runs(release: Release) -> str:
+    node = release.values["placement"].get("node")
+    return f"{release.key}: {release.chart} {release.version}{f' on Node {node}' if node else ''}"
 
 
 def caused(release: Release, contributions: Sequence[Contribution], present: Release | None) -> Release:

@@ -12,6 +12,7 @@ from typing import Any
 
 from robotkube.foundation.documents.core.value_templates import Render, expand_for_each
 from robotkube.registry.catalogue.core.applications import Application, Link, Service
+from robotkube.registry.catalogue.core.links.loops import joined
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,11 @@ class Instance:
 
     service: Service
     scope: dict[str, Any]
+
+    @property
+    def loop(self) -> dict[str, Any]:
+        """The values of its `forEach` variables."""
+        return {variable: self.scope[variable] for variable in self.service.for_each}
 
 
 def instances(application: Application, names: Mapping[str, Any], render: Render) -> list[Instance]:
@@ -46,9 +52,4 @@ def _joined(every: Sequence[Instance], links: Sequence[Link]) -> Iterator[tuple[
         ends = [
             [i for i, x in enumerate(every) if x.service.name == end["service"]] for end in (link.source, link.target)
         ]
-        yield from ((a, b) for a in ends[0] for b in ends[1] if _agree(every[a], every[b]))
-
-
-def _agree(first: Instance, second: Instance) -> bool:
-    common = set(first.service.for_each) & set(second.service.for_each)
-    return all(first.scope[variable] == second.scope[variable] for variable in common)
+        yield from ((a, b) for a in ends[0] for b in ends[1] if joined(every[a].loop, every[b].loop) is not None)

@@ -15,16 +15,18 @@ from robotkube.delivery.manager.core.composition.assignments import Assignments
 from robotkube.delivery.manager.core.composition.co_location import Instance, groups, instances
 from robotkube.delivery.manager.core.composition.index import Index, Lookup
 from robotkube.delivery.manager.core.composition.inputs import Demand
+from robotkube.delivery.manager.core.composition.links import PlacedInstance, passages
 from robotkube.delivery.manager.core.composition.selection import Chosen
-from robotkube.delivery.manager.core.composition.topic_merge import IN, OUT, MergedTopics
+from robotkube.delivery.manager.core.composition.topic_merge import MergedTopics
 from robotkube.delivery.manager.core.placement.capacity import read_resources
 from robotkube.delivery.manager.core.placement.placement import Agent, Group, Placement, PlacementRequest, group
 from robotkube.errors import RefusalError
 from robotkube.foundation.documents.core.patterns import NAME
-from robotkube.foundation.documents.core.value_templates import expand_for_each, render_templates
-from robotkube.registry.catalogue.core.applications import TOPIC_KEYS, Link
+from robotkube.foundation.documents.core.value_templates import render_templates
+from robotkube.registry.catalogue.core.applications import Link
 from robotkube.registry.catalogue.core.catalogue import Pin
 from robotkube.registry.catalogue.core.chart_versions import ChartVersion
+from robotkube.robots.bridge.core.rights import IN, OUT
 
 
 @dataclass(frozen=True)
@@ -95,18 +97,17 @@ class _Expander:
         for link in choice.application.links:
             if link.kind != "ros":
                 index.bridge(link.kind)
-                for scope in expand_for_each(link.for_each, names, self._render):
-                    self._add_link(link, scope, placed)
+                self._add_link(link, names, placed)
         self._expansion.choices = choices_of(self._expansion.choice_parts, self._expansion.groups)
         return self._expansion
 
-    def _add_services(self, application: Any, names: Mapping[str, Any]) -> dict[str, list[Agent]]:
-        """Place every service and make its releases; the agents on which each of them was placed."""
+    def _add_services(self, application: Any, names: Mapping[str, Any]) -> dict[str, list[PlacedInstance]]:
+        """Place every service and make its releases; the instances of each of them, where they were placed."""
         every = instances(application, names, self._render)
         together = groups(every, application.links)
         group_of: dict[int, int] = {}
         charts: dict[int, Chosen] = {}
-        placed: dict[str, list[Agent]] = {}
+        placed: dict[str, list[PlacedInstance]] = {}
         for number, instance in enumerate(every):
             if number not in group_of:
                 members = together[number]
@@ -114,7 +115,7 @@ class _Expander:
                 charts.update(zip(members, self._place([every[member] for member in members]), strict=True))
             agent = self._expansion.groups[group_of[number]].placement.agent
             self._add_service(instance, agent, charts[number], group_of[number])
-            placed.setdefault(instance.service.name, []).append(agent)
+            placed.setdefault(instance.service.name, []).append(PlacedInstance(agent, instance.loop))
         return placed
 
     def _place(self, members: Sequence[Instance]) -> list[Chosen]:
@@ -177,33 +178,18 @@ class _Expander:
         expansion.merged_lists[key] = service.unite
         expansion.choice_parts += [(f"{service.name} -> {key}", *chosen[1]), group_number]
 
-    def _add_link(self, link: Link, scope: Mapping[str, Any], placed: Mapping[str, list[Agent]]) -> None:
-        sources, targets = self._ends(link.source, scope, placed), self._ends(link.target, scope, placed)
-        rendered = [self._render(topic, scope) for topic in link.topics]
-        topics = [{key: topic[key] for key in TOPIC_KEYS} for topic in rendered]
-        for source in sources:
-            for target in targets:
-                if source == target:
-                    continue  # both ends on one node: ROS itself carries the topic
-                for topic in topics:
-                    if source:
-                        self._expansion.topics.add(link.kind, source.place, OUT, topic)
-                    if target:
-                        self._expansion.topics.add(link.kind, target.place, IN, topic)
+    def _add_link(self, link: Link, names: Mapping[str, Any], placed: Mapping[str, Sequence[PlacedInstance]]) -> None:
+        topics = self._expansion.topics
+        for passage in passages(link, names, placed, self._agents, self._render):
+            if passage.source:
+                topics.add(link.kind, passage.source.place, OUT, passage.topic)
+            if passage.target:
+                topics.add(link.kind, passage.target.place, IN, passage.topic)
 
-    def _ends(
-        self, end: Mapping[str, str], scope: Mapping[str, Any], placed: Mapping[str, list[Agent]]
-    ) -> Sequence[Agent | None]:
-        """An agent by name; every agent of a role that has a node; the agents a service was placed on; None for the
-        medium itself, where somebody else than an agent receives or sends the topics."""
-        if "medium" in end:
-            return [None]
-        if "service" in end:
-            return placed.get(end["service"], [])
-        if "role" in end:
-            agents: Sequence[Agent] = self._lookup(("role", self._render(end["role"], scope)))
-            return agents
-        return [self._lookup(("agent", self._render(end["agent"], scope)))]
+    def _agents(self, kind: str, name: Any) -> Sequence[Agent]:
+        """An agent by name; every agent of a role that has a node."""
+        answer = self._lookup((kind, name))
+        return answer if kind == "role" else [answer]
 
 
 def _names(demand: Demand, parameters: Mapping[str, Any], placements: dict[str, str]) -> dict[str, Any]:

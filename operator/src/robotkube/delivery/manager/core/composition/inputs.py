@@ -76,11 +76,13 @@ class Refused:
 @dataclass(frozen=True)
 class Met:
     """The way in which a demand is met: the releases (`<namespace>/<name>`), every choice as a sentence, and the
-    application (chosen by what it provides when the task names none)."""
+    application (chosen by what it provides when the task names none). `runs`: its services' releases, each with the
+    chart version that was chosen and the Node, where an agent has several."""
 
     releases: tuple[str, ...]
     choices: tuple[str, ...]
     application: str = ""
+    runs: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,7 @@ from typing import Any
 
 from robotkube.errors import RefusalError
 from robotkube.registry.catalogue.core.applications import TOPIC_KEYS
-
-OUT, IN = "out", "in"
+from robotkube.robots.bridge.core.rights import IN, OUT
 
 End = tuple[str, str]
 """A bridge: kind of link and place."""

@@ -1,0 +1,110 @@
+"""Links of an application as a demand asks for them: which topics go from which agent to which.
+
+A link repeats by its own `forEach`; without one, with those of the services at its ends. An instance of a service takes
+part where it has the same values of the variables: with `forEach: {vehicle: ...}` at link and service, the topics of a
+vehicle go to and from the instances of this vehicle only. What the broker would refuse is refused here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any
+
+from robotkube.delivery.manager.core.placement.placement import Agent
+from robotkube.errors import RefusalError
+from robotkube.foundation.documents.core.value_templates import Render, expand_for_each
+from robotkube.registry.catalogue.core.applications import TOPIC_KEYS, Link
+from robotkube.registry.catalogue.core.links.loops import joined
+from robotkube.robots.bridge.core.rights import IN, OUT, RULES, may
+
+FindAgents = Callable[[str, Any], Sequence[Agent]]
+"""The agents of an end, by its kind (`agent` or `role`) and the name there."""
+
+
+@dataclass(frozen=True)
+class PlacedInstance:
+    """An instance of a service where it was placed; `loop` are the values of its `forEach` variables."""
+
+    agent: Agent
+    loop: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Passage:
+    """A topic that goes from one agent to another; None is the medium itself, where somebody else sends or receives."""
+
+    source: Agent | None
+    target: Agent | None
+    topic: Mapping[str, Any]
+
+
+def passages(
+    link: Link,
+    names: Mapping[str, Any],
+    placed: Mapping[str, Sequence[PlacedInstance]],
+    agents: FindAgents,
+    render: Render,
+) -> Iterator[Passage]:
+    """Every topic of a link from every source to every target that is on another place: on one, ROS itself carries it.
+    RefusalError(LinkNotPermitted) when the broker would refuse one."""
+    for scope, source, target in _legs(link, names, placed, render):
+        sources = _ends(link.source, source, scope, agents, render)
+        targets = _ends(link.target, target, scope, agents, render)
+        rendered = [render(topic, scope) for topic in link.topics]
+        for sender, receiver in product(sources, targets):
+            if sender == receiver:
+                continue
+            for topic in rendered:
+                passage = Passage(sender, receiver, {key: topic[key] for key in TOPIC_KEYS})
+                _check(passage)
+                yield passage
+
+
+def _legs(
+    link: Link, names: Mapping[str, Any], placed: Mapping[str, Sequence[PlacedInstance]], render: Render
+) -> Iterator[tuple[dict[str, Any], PlacedInstance | None, PlacedInstance | None]]:
+    """The names for each repetition of a link, with the instances at its ends that take part in it."""
+    for scope in expand_for_each(link.for_each, names, render):
+        own = {variable: scope[variable] for variable in link.for_each}
+        for source, target in product(_instances(link.source, placed), _instances(link.target, placed)):
+            loop = joined(own, source.loop if source else {}, target.loop if target else {})
+            if loop is not None:
+                yield (scope if own else {**scope, **loop}), source, target
+
+
+def _instances(
+    end: Mapping[str, str], placed: Mapping[str, Sequence[PlacedInstance]]
+) -> Sequence[PlacedInstance | None]:
+    return placed.get(end["service"], ()) if "service" in end else (None,)
+
+
+def _ends(
+    end: Mapping[str, str],
+    instance: PlacedInstance | None,
+    scope: Mapping[str, Any],
+    agents: FindAgents,
+    render: Render,
+) -> Sequence[Agent | None]:
+    """An agent by name; every agent of a role that has a node; the agent of the instance; None for the medium."""
+    if "medium" in end:
+        return [None]
+    if instance is not None:
+        return [instance.agent]
+    [(kind, name)] = end.items()
+    return agents(kind, render(name, scope))
+
+
+def _check(passage: Passage) -> None:
+    name = passage.topic["name"]
+    for agent, direction in ((passage.source, OUT), (passage.target, IN)):
+        if agent is not None and not may(agent, direction, name):
+            verb = "write" if direction == OUT else "read"
+            raise RefusalError(
+                "LinkNotPermitted",
+                f"topic {name} cannot go from {passage.source or 'the broker'} to {passage.target or 'the broker'}: "
+                f"{agent.name} (role {agent.role}) may not {verb} it at the broker, where {RULES}. Let the agent that "
+                "the topic is named after send it and an agent that reads every topic receive it: by the placement of "
+                "the application's services, the task's placement.roles or placement.agents, or the topic's name",
+            )
