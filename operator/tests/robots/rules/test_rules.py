@@ -11,6 +11,8 @@ import pytest
 from robotkube.robots.rules.core import START, STOP, Edge, Message, Rule, RuleEngine, event_identity, reason, task_name
 from robotkube.robots.rules.core.conditions.external import AnsweredQuestion, RuleAnswer, RuleQuestion
 from robotkube.robots.rules.core.messages import FALL, KEEP, RISE
+from robotkube.robots.rules.core.plugin_api import Arrival, Holding, PluginHost
+from robotkube.robots.rules.core.windows import Window
 from tests.stages.detector.rules import (
     MS,
     NOW,
@@ -96,18 +98,37 @@ def test_a_late_message_is_counted_and_not_evaluated() -> None:
     stage = RuleStage(HIGH)
     stage.send("vehicle-00", 1, 1)
     assert not stage.send("vehicle-00", 9, 0.9)
-    assert stage.engine.counts.late == 1
+    assert stage.engine.counts.unseen.totals["disordered"] == 1
     assert stage.send("vehicle-00", 9, 1), "the same stamp again is no late one"
 
 
 def test_time_that_begins_anew_is_followed() -> None:
-    """A simulation that starts over: after two messages far behind, the old time counts no more."""
+    """A simulation that starts over: when the topic's clock has said so, the old time counts no more."""
     stage = RuleStage({**HIGH, "cooldown_seconds": 30})
     assert stage.send("vehicle-00", 9, 1000)
     assert stage.send("vehicle-00", 1, 1001)
     assert not stage.send("vehicle-00", 9, 5)
+    stage.engine.restart("/vehicles/vehicle_00/value", NOW + 5 * SECOND)
     assert seconds(stage.send("vehicle-00", 9, 5.1)) == [(START, ("vehicle-00",), 5.1)]
-    assert (stage.engine.counts.jumps, stage.engine.counts.late) == (1, 1)
+
+
+def test_a_message_without_a_credible_stamp_is_a_sign_of_life() -> None:
+    """It puts an absence off, by the clock of reception; so does one that is older than the last one."""
+    stage = RuleStage({"name": "lost", "kind": "absence", "topic": NUMBERS, "seconds": 2})
+    stage.send("vehicle-00", 1, 1)
+    stage.engine.overlook("/vehicles/vehicle_00/value", NOW + 2 * SECOND)
+    assert stage.tick(3.5) == []
+    stage.send("vehicle-00", 1, 0.5, 3.6)
+    assert stage.tick(5.6) == []
+    assert seconds(stage.tick(5.8)) == [(START, ("vehicle-00",), 5.6)]
+
+
+def test_a_rate_counts_messages_that_come_late() -> None:
+    stage = RuleStage({"name": "slow", "kind": "rate", "topic": NUMBERS, "start_below_hz": 8, "stop_above_hz": 9,
+                       "window_seconds": 2})  # fmt: skip
+    order = [step ^ 1 for step in range(100)]  # each two in the wrong order
+    assert [edge for step in order for edge in stage.send("vehicle-00", 1, step / 10)] == []
+    assert stage.engine.counts.unseen.of("/vehicles/vehicle_00/value")["disordered"] == 50
 
 
 @pytest.mark.parametrize(
@@ -241,6 +262,26 @@ def test_too_fast_and_too_slow() -> None:
     assert [edge.edge for edge in edges] == [START]
     assert edges[0].detail["hz"] == 16
     assert [edge.edge for edge in fast.tick(5)] == [STOP]
+
+
+def test_a_plugin_sees_what_it_is_asked_about_whatever_its_own_window_is() -> None:
+    """The topic's clock has judged the stamp by the topic's buffer, which may be longer; it is not judged again."""
+    topic = "/vehicles/vehicle_00/value"
+    seen: list[tuple[int, int]] = []
+
+    class Latest:
+        def evaluate(self, arrival: Arrival, window: Window) -> list[Holding]:
+            latest = window.latest(topic, ["data"])
+            assert latest is not None
+            seen.append((arrival.stamp, latest.stamp))
+            return []
+
+    host = PluginHost(Latest(), {NUMBERS: NUMBER}, layouts(), 2.0)
+    stamps = [NOW + at * SECOND for at in (0, 5, 6, -900, -899)]
+    for step, stamp in enumerate(stamps):
+        data = number(step)
+        host.answer(RuleQuestion("r", ("vehicle-00",), topic, stamp, NOW + step * MS, type=NUMBER, data=data))
+    assert seen == [(stamp, stamp) for stamp in stamps]
 
 
 def combination(**keys: Any) -> tuple[dict[str, Any], ...]:

@@ -5,11 +5,13 @@ Labels take values of closed lists: topic patterns, rules and reactions of the s
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from robotkube.robots.detector.core.settings import STATES
+from robotkube.robots.detector.loops.subscription import SOURCE_STATES, source_state
 from robotkube.robots.reactions.loops.delivery_journal import MEMORY_ONLY
 
 if TYPE_CHECKING:
@@ -28,6 +30,7 @@ METRICS: Mapping[str, tuple[str, str, str]] = {
     "subscriptions": ("gauge", "topic", "Topics that are subscribed to, by pattern."),
     "matched_sources": ("gauge", "topic", "Publishers that are connected."),
     "stale_topics": ("gauge", "topic", "Topics that have been silent for longer than stale_seconds."),
+    "sources": ("gauge", "state", "Topics whose stamps are in that state."),
     "mismatched_topics": ("gauge", "topic", "Topics with a publisher whose type or quality of service does not fit."),
     "incompatible_total": ("counter", "topic", "Publishers that the middleware refused because of their quality."),
     "missed_deadlines_total": ("counter", "topic", "Deadlines asked for that passed without a message."),
@@ -37,7 +40,8 @@ METRICS: Mapping[str, tuple[str, str, str]] = {
     "lost_total": ("counter", "topic", "Messages that were pushed out before they were received."),
     "buffer_messages": ("gauge", "topic", "Messages in the ring buffers."),
     "buffer_bytes": ("gauge", "topic", "Bytes in the ring buffers."),
-    "late_total": ("counter", "topic", "Messages older than the window, or wrongly newer."),
+    "late_total": ("counter", "topic", "Messages older than the window."),
+    "ahead_total": ("counter", "topic", "Messages whose stamp was too far ahead to be believed."),
     "duplicates_total": ("counter", "topic", "Messages that were there already."),
     "jumps_total": ("counter", "topic", "Jumps of a topic's time."),
     "evicted_total": ("counter", "topic", "Messages that left a buffer because of a bound."),
@@ -45,6 +49,7 @@ METRICS: Mapping[str, tuple[str, str, str]] = {
     "active_events": ("gauge", "rule", "Events that last."),
     "unreadable_total": ("counter", "", "Messages whose fields a rule could not read."),
     "late_for_rules_total": ("counter", "", "Messages older than the last one that was evaluated."),
+    "rules_wait_seconds": ("gauge", "", "How much later rules look at messages, since a source sends out of order."),
     "rule_suspended": ("gauge", "rule", "1 while a rule of kind cel or python is suspended."),
     "rule_dropped_total": ("counter", "rule", "Messages that a rule of kind cel or python was not evaluated for."),
     "reaction_delivered_total": ("counter", "reaction", "Edges that were delivered."),
@@ -104,6 +109,7 @@ class DetectorStatus:
             "rules": {
                 "names": [rule.name for rule in engine.rules],
                 "active": [{"id": e.id, "rule": e.rule, "agents": list(e.agents)} for e in engine.active],
+                "wait_seconds": detector.wait_ns / 1e9,
                 "problems": [{"rule": r, "topic": t, "problem": text} for (r, t), text in problems],
                 "workers": {} if workers is None else workers.document(),
             },
@@ -129,14 +135,18 @@ class DetectorStatus:
                 lines += [f"# HELP {PREFIX}{name} {text}", f"# TYPE {PREFIX}{name} {kind}", *series]
         return "\n".join([*lines, *self._recordings()]) + "\n"
 
-    def _values(self) -> Iterator[tuple[str, str, int]]:
+    def _values(self) -> Iterator[tuple[str, str, float]]:
         detector = self.detector
         yield from (("info", state, int(state == detector.reached.state)) for state in STATES)
         yield "ready", "", int(not self.not_ready())
         yield "settings_refused", "", int(bool(self.refusal.error))
         yield "events_total", "", detector.dispatcher.dispatched
         yield "unreadable_total", "", sum(detector.engine.counts.malformed.copy().values())
-        yield "late_for_rules_total", "", detector.engine.counts.late
+        yield "late_for_rules_total", "", detector.unseen.totals["disordered"]
+        yield "rules_wait_seconds", "", detector.wait_ns / 1e9
+        now = self.clock_ns()
+        states = Counter(source_state(topic, now) for topic in list(detector.topics.topics.values()))
+        yield from (("sources", state, states[state]) for state in SOURCE_STATES)
         for pattern, sums in self._topics().items():
             yield from ((name, pattern, value) for name, value in sums.items())
         active = [edge.rule for edge in detector.engine.active]

@@ -1,8 +1,9 @@
 """The rules of a detector at work: messages, time and answers in, edges out. No clock, no thread and no library.
 
-The time of the rules is the messages' own stamp, per topic: what is older than the topic's last message is not
-evaluated. When a topic is behind by more than JUMP_NS for JUMP_COUNT messages in a row, its agent's time has begun anew
-(a simulation or a bag started over). This machine's clock says only when to stop waiting for a message.
+The time of the rules is the messages' own stamp, per topic. Which stamps are believed, and when a topic's time has
+jumped, its clock says (`ros.core.source_clocks`), and `message_order` has put in order what comes here. What is older
+than the topic's last message is overlooked: it is a sign of life and no more. This machine's clock says only when to
+stop waiting for a message.
 """
 
 from __future__ import annotations
@@ -19,14 +20,16 @@ from robotkube.robots.rules.core.evaluators import Evaluator
 from robotkube.robots.rules.core.events import STOP, Edge
 from robotkube.robots.rules.core.messages import Message, MessageValues
 from robotkube.robots.rules.core.specification.specifications import Combination, Rule, paths
+from robotkube.robots.rules.core.unseen import DISORDERED, UnseenMessages
 
 if TYPE_CHECKING:
     from robotkube.robots.ros.core.cdr_readers.readers import FieldReader, Layouts
 
-JUMP_NS = 10_000_000_000
-JUMP_COUNT = 2
 TOPICS_MAX = 20_000
 PROBLEMS_MAX = 1000
+
+NEVER = -(1 << 63)
+"""The stamp before all others."""
 
 SelectValues = Callable[[tuple[Any, ...]], tuple[Any, ...]]
 
@@ -42,18 +45,15 @@ class _Route:
     type: str
     reader: FieldReader | None
     evaluators: list[tuple[Evaluator, SelectValues | None]]
-    stamp: int = -(1 << 63)
-    behind: int = 0
+    stamp: int = NEVER
 
 
 @dataclass
 class EngineCounts:
-    """Counts of messages that were not evaluated: older than the last one of their topic, or not readable as their
-    type."""
+    """Counts of messages that were not evaluated: those not readable as their type by topic, and all by the reason."""
 
-    late: int = 0
     malformed: dict[str, int] = field(default_factory=dict)
-    jumps: int = 0
+    unseen: UnseenMessages = field(default_factory=UnseenMessages)
 
 
 def _refuse(question: RuleQuestion) -> None:
@@ -64,9 +64,17 @@ class RuleEngine:
     """Evaluates `rules` for the detector of agent `own_agent`, who stands for topics that name no agent.
 
     `ask` gets the questions of rules that are evaluated elsewhere; it must not block. Their answers go to `answer`.
+    `unseen` counts the messages that no rule saw.
     """
 
-    def __init__(self, rules: Sequence[Rule], layouts: Layouts, own_agent: str, ask: AskRule = _refuse) -> None:
+    def __init__(
+        self,
+        rules: Sequence[Rule],
+        layouts: Layouts,
+        own_agent: str,
+        ask: AskRule = _refuse,
+        unseen: UnseenMessages | None = None,
+    ) -> None:
         self._layouts = layouts
         self._agent = own_agent
         self._ask = ask
@@ -75,7 +83,7 @@ class RuleEngine:
         self._routes: dict[str, _Route] = {}
         self._unpropagated: list[tuple[Evaluator, Edge]] = []
         self._beginning = True
-        self.counts = EngineCounts()
+        self.counts = EngineCounts(unseen=unseen or UnseenMessages())
         self.problems: dict[tuple[str, str], str] = {}
         self._build(rules)
 
@@ -112,13 +120,28 @@ class RuleEngine:
         begun = self._begin(stamp, received) if self._beginning and route.agent else []
         if not route.evaluators:
             return begun
-        if stamp < route.stamp and not self._restarted(route, stamp):
-            self.counts.late += 1
+        if stamp < route.stamp:
+            self.counts.unseen.count(topic, DISORDERED)
+            self._overlook(route, received, stamp)
             return begun
         route.stamp = stamp
-        route.behind = 0
         edges = self._evaluated(route, message)
         return begun + self._propagated(edges) if edges else begun
+
+    def overlook(self, topic: str, received: int) -> None:
+        """Note that a message of a topic has come whose stamp is not to be believed: a sign of life."""
+        route = self._routes.get(topic)
+        if route is not None:
+            self._overlook(route, received, None)
+
+    def restart(self, topic: str, stamp: int) -> None:
+        """Begin the time of a topic, and of its agent, anew at `stamp`."""
+        route = self._routes.get(topic)
+        if route is None:
+            return
+        route.stamp = NEVER
+        for evaluator, _ in route.evaluators:
+            evaluator.restart(route.agent, stamp)
 
     def answer(self, answered: AnsweredQuestion) -> list[Edge]:
         """The edges that answers from elsewhere cause; those of rules that are gone cause none."""
@@ -246,18 +269,10 @@ class RuleEngine:
             return False
         return True
 
-    def _restarted(self, route: _Route, stamp: int) -> bool:
-        """True when the topic's time has begun anew."""
-        if stamp >= route.stamp - JUMP_NS:
-            route.behind = 0
-            return False
-        route.behind += 1
-        if route.behind < JUMP_COUNT:
-            return False
-        self.counts.jumps += 1
+    @staticmethod
+    def _overlook(route: _Route, received: int, stamp: int | None) -> None:
         for evaluator, _ in route.evaluators:
-            evaluator.restart(route.agent, stamp)
-        return True
+            evaluator.overlook(route.agent, received, stamp)
 
     def _evaluated(self, route: _Route, message: Message) -> list[Edge]:
         topic, type_name, stamp, received, data = message

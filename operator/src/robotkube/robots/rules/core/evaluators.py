@@ -135,6 +135,14 @@ class Evaluator:
         if self.events.pending:
             edges += self._mature(agent, stamp, received)
 
+    def overlook(self, agent: str, received: int, stamp: int | None) -> None:
+        """Note a sign of life of an agent: a message that is not evaluated, since it is older than the last one; of one
+        whose `stamp` is not to be believed it is None."""
+        last = self._seen.get(agent)
+        if last is not None:
+            self._seen[agent] = last[0], received
+        self.condition.overlook((agent,), received, stamp)
+
     def answer(self, answered: AnsweredQuestion) -> list[Edge]:
         """The edges that the answers to a question cause."""
         question = answered.question

@@ -84,6 +84,10 @@ class RuleCondition:
         """The next moment at which `elapse` may give changes; None without one."""
         return None
 
+    def overlook(self, member: Member, received: int, stamp: int | None) -> None:
+        """Note that a message has come which is not evaluated: one that is older than the last one, or whose `stamp` is
+        not to be believed (None)."""
+
     def forget(self, agent: str) -> None:
         """Forget an agent that has fallen silent or whose time has begun anew."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -58,6 +59,16 @@ class RateCondition(RuleCondition):
         if moment is not None:
             self._timers.watch(member, moment)
         return changes
+
+    def overlook(self, member: Member, received: int, stamp: int | None) -> None:
+        """Count a message that has come late, where it belongs; one without a credible stamp beside the last one."""
+        known = self._arrivals.get(member)
+        if known is None:
+            return
+        known.received = received
+        moment = known.last if stamp is None else stamp
+        if known.last - self._window_ns < moment and len(known.stamps) < COUNTED_MAX:
+            known.stamps.insert(bisect_right(known.stamps, moment), moment)
 
     def elapse(self, now: int) -> Sequence[MemberChange]:
         """See the base."""
@@ -133,6 +144,12 @@ class AbsenceCondition(RuleCondition):
             changes.append(self._member_change(member, FALL, reading.stamp, reading.received))
         self._wait(member, reading.stamp, reading.received)
         return changes
+
+    def overlook(self, member: Member, received: int, stamp: int | None) -> None:
+        """Wait from now on: the message is measured as much later than the last one as it was received later."""
+        last = self._last.get(member)
+        if last is not None and received > last[1]:
+            self._last[member] = last[0] + received - last[1], received
 
     def elapse(self, now: int) -> Sequence[MemberChange]:
         """See the base."""
