@@ -11,7 +11,10 @@ from typing import Any
 
 import pytest
 
-from tests.stages.detector.rules import MS, NOW, POSES, SECOND
+from robotkube.robots.rules.core import RuleQuestion
+from robotkube.robots.rules.core.plugin_api import Arrival, Holding, PluginHost
+from robotkube.robots.rules.core.windows import Window
+from tests.stages.detector.rules import MS, NOW, NUMBER, NUMBERS, POSES, SECOND, RuleStage, layouts, number
 from tests.stages.detector.streams import Sent, Told, document, lived, replayed
 
 NEAR = {"name": "near", "kind": "proximity", "topic": POSES, "start_distance_m": 30, "stop_distance_m": 40}
@@ -45,10 +48,10 @@ def drive(seconds: int = 20, agents: int = 2) -> list[Sent]:
     """Vehicles at 10 Hz that meet again and again; everything is received as it was measured, 3 ms later."""
     sent = []
     for step in range(seconds * 10):
-        for number in range(agents):
-            stamp = step * 100 * MS + number * 7 * MS
-            x = (1 - 2 * number) * abs(step % 80 - 40) * 1.5
-            sent.append(Sent(f"vehicle-{number:02}", stamp, stamp + LATENCY, x))
+        for index in range(agents):
+            stamp = step * 100 * MS + index * 7 * MS
+            x = (1 - 2 * index) * abs(step % 80 - 40) * 1.5
+            sent.append(Sent(f"vehicle-{index:02}", stamp, stamp + LATENCY, x))
     return sent
 
 
@@ -170,3 +173,92 @@ def test_the_state_of_a_source_is_told() -> None:
     assert all(f'robotkube_detector_sources{{state="{state}"}} 1\n' in metrics for state in states)
     waited = next(line for line in metrics.splitlines() if line.startswith("robotkube_detector_rules_wait_seconds"))
     assert 0.2 < float(waited.split()[1]) < 0.5
+
+
+def test_every_message_that_no_rule_saw_is_told_by_its_reason() -> None:
+    """In status and metrics, and by `rule test`, which comes to the same numbers."""
+    plain = [m._replace(stamp=m.stamp + 60 * SECOND) for m in drive(20, 1)]
+    odd = {66 * SECOND: 90 * SECOND, 70 * SECOND: -40 * SECOND, 74 * SECOND: -250 * MS}
+    sent = [m._replace(stamp=m.stamp + odd.get(m.stamp, 0)) for m in plain]
+    topic = sent[0].topic
+    _, result = replayed(sent, RULES)
+    assert result.unseen == {topic: {"late": 1, "ahead": 1, "disordered": 1}}
+    said = next(problem for problem in result.problems if problem.startswith(topic))
+    assert "1 ahead (the stamp is too far ahead to be believed)" in said
+    assert not result.incomplete
+    _, stage = lived(sent, RULES)
+    shown = stage.status.document()
+    told = shown["topics"][topic]["unseen"]
+    assert {reason: count for reason, count in told.items() if count} == result.unseen[topic]
+    assert shown["rules"]["unseen"] == told
+    assert {(f'robotkube_detector_unseen_total{{reason="{r}"}} {n}') for r, n in told.items()} <= set(
+        stage.status.metrics().splitlines()
+    )
+
+
+def test_messages_that_cannot_be_read_wait_or_are_pushed_out_are_told_too() -> None:
+    _, stage = lived(drive(2, 1), RULES)
+    topic = "/vehicles/vehicle_00/pose"
+    source = stage.live.topics[topic]
+    source.waiting = [(b"\0\1", stage.now), (Sent("vehicle-00", 3 * SECOND, 0, 1).data[:40], stage.now)]
+    source.lost = 5
+    stage.detector.turn()
+    stage.detector._adopted, stage.detector._adopt_until = False, 1e9  # the API server has not answered
+    stage.send("vehicle-00", 1)
+    told = stage.detector.unseen.of(topic)
+    assert {reason: count for reason, count in told.items() if count} == {
+        "malformed": 1, "unreadable": 1, "starting": 1, "lost": 5,
+    }  # fmt: skip
+
+
+@ways
+def test_a_clock_that_differs_by_five_seconds_raises_nothing_for_pairs(way: Way) -> None:
+    sent = [m._replace(stamp=m.stamp + (5 * SECOND if m.agent == "vehicle-01" else 0)) for m in drive()]
+    assert way(sent, document(NEAR)) == []
+
+
+def test_pairs_that_are_not_compared_because_of_their_clocks_are_told() -> None:
+    sent = [m._replace(stamp=m.stamp + (5 * SECOND if m.agent == "vehicle-01" else 0)) for m in drive()]
+    _, result = replayed(sent, document(NEAR))
+    [apart] = result.apart
+    assert (apart["rule"], apart["agents"]) == ("near", ["vehicle-00", "vehicle-01"])
+    assert apart["count"] > 50
+    assert abs(apart["seconds"] - 5) < 0.2
+    assert any("did not compare vehicle-00 and vehicle-01" in problem for problem in result.problems)
+    _, stage = lived(sent, document(NEAR))
+    assert stage.status.document()["rules"]["apart"][0]["count"] == apart["count"]
+    assert f'robotkube_detector_rule_apart_total{{rule="near"}} {apart["count"]}\n' in stage.status.metrics()
+
+
+def test_an_agent_that_is_silent_is_not_said_to_have_a_wrong_clock() -> None:
+    sent = [m for m in drive() if m.agent == "vehicle-00" or m.stamp < 5 * SECOND]
+    assert replayed(sent, document(NEAR))[1].apart == []
+
+
+def test_a_pair_expression_tells_it_as_well() -> None:
+    rule = {"name": "apart", "kind": "cel", "scope": "pair", "topic": NUMBERS, "fields": {"v": "data"},
+            "agents": ["vehicle-00", "vehicle-01"], "expression": "a.v > b.v"}  # fmt: skip
+    stage = RuleStage(rule, ask=lambda question: None)
+    stage.send("vehicle-00", 1, 5, 1)
+    stage.send("vehicle-01", 1, 1, 1)
+    assert stage.engine.apart["apart"].seconds() == {("vehicle-00", "vehicle-01"): (1, 4.0)}
+
+
+def test_a_plugin_sees_what_it_is_asked_about_whatever_its_own_window_is() -> None:
+    """The topic's clock has judged the stamp by the topic's buffer, which may be longer; it is not judged again."""
+    topic = "/vehicles/vehicle_00/value"
+    seen: list[tuple[int, int]] = []
+
+    class Latest:
+        def evaluate(self, arrival: Arrival, window: Window) -> list[Holding]:
+            latest = window.latest(topic, ["data"])
+            assert latest is not None
+            seen.append((arrival.stamp, latest.stamp))
+            return []
+
+    host = PluginHost(Latest(), {NUMBERS: NUMBER}, layouts(), 2.0)
+    stamps = [NOW + at * SECOND for at in (0, 5, 6, -900, -899)]
+    for step, stamp in enumerate(stamps):
+        data = number(step)
+        host.answer(RuleQuestion("r", ("vehicle-00",), topic, stamp, NOW + step * MS, type=NUMBER, data=data))
+    assert seen == [(stamp, stamp) for stamp in stamps]

@@ -11,8 +11,6 @@ import pytest
 from robotkube.robots.rules.core import START, STOP, Edge, Message, Rule, RuleEngine, event_identity, reason, task_name
 from robotkube.robots.rules.core.conditions.external import AnsweredQuestion, RuleAnswer, RuleQuestion
 from robotkube.robots.rules.core.messages import FALL, KEEP, RISE
-from robotkube.robots.rules.core.plugin_api import Arrival, Holding, PluginHost
-from robotkube.robots.rules.core.windows import Window
 from tests.stages.detector.rules import (
     MS,
     NOW,
@@ -262,26 +260,6 @@ def test_too_fast_and_too_slow() -> None:
     assert [edge.edge for edge in edges] == [START]
     assert edges[0].detail["hz"] == 16
     assert [edge.edge for edge in fast.tick(5)] == [STOP]
-
-
-def test_a_plugin_sees_what_it_is_asked_about_whatever_its_own_window_is() -> None:
-    """The topic's clock has judged the stamp by the topic's buffer, which may be longer; it is not judged again."""
-    topic = "/vehicles/vehicle_00/value"
-    seen: list[tuple[int, int]] = []
-
-    class Latest:
-        def evaluate(self, arrival: Arrival, window: Window) -> list[Holding]:
-            latest = window.latest(topic, ["data"])
-            assert latest is not None
-            seen.append((arrival.stamp, latest.stamp))
-            return []
-
-    host = PluginHost(Latest(), {NUMBERS: NUMBER}, layouts(), 2.0)
-    stamps = [NOW + at * SECOND for at in (0, 5, 6, -900, -899)]
-    for step, stamp in enumerate(stamps):
-        data = number(step)
-        host.answer(RuleQuestion("r", ("vehicle-00",), topic, stamp, NOW + step * MS, type=NUMBER, data=data))
-    assert seen == [(stamp, stamp) for stamp in stamps]
 
 
 def combination(**keys: Any) -> tuple[dict[str, Any], ...]:

@@ -245,6 +245,8 @@ class EventDetector:
                     stamp = stamp_of(data) or received  # 0: nobody has set it
                 except ValueError:
                     topic.counter.malformed += 1
+                    if topic.evaluated:
+                        self.unseen.count(name, unseen.MALFORMED)
                     continue
             count(stamp, received)
             sample = _new(Sample, (stamp, received, data))
@@ -258,6 +260,16 @@ class EventDetector:
         if before is not None:
             self._note_pushed_out(topic, lost - topic.counter.lost, before)
         topic.counter.lost = lost
+        if topic.evaluated:
+            self._count_unseen(topic, 0 if batch is not None else len(messages))
+
+    def _count_unseen(self, topic: TopicSubscription, unevaluated: int) -> None:
+        """Count messages that rules have not got: those that were pushed out, and `unevaluated` ones."""
+        if topic.counter.lost > topic.lost_unseen:
+            self.unseen.count(topic.name, unseen.LOST, topic.counter.lost - topic.lost_unseen)
+            topic.lost_unseen = topic.counter.lost
+        if unevaluated and self.state == ACTIVE:
+            self.unseen.count(topic.name, unseen.STARTING, unevaluated)
 
     def _goes_on(self, topic: TopicSubscription, sample: Sample, outcome: str, batch: list[Message] | None) -> bool:
         """True when a message that is not simply the next one goes on to recordings and rules."""

@@ -16,6 +16,7 @@ from robotkube.robots.reactions.loops.delivery_journal import MEMORY_ONLY
 
 if TYPE_CHECKING:
     from robotkube.robots.detector.loops.detector import EventDetector
+    from robotkube.robots.rules.core import RuleEngine
 
 PROBLEMS_MAX = 50
 PREFIX = "robotkube_detector_"
@@ -48,7 +49,13 @@ METRICS: Mapping[str, tuple[str, str, str]] = {
     "events_total": ("counter", "", "Edges that were dispatched."),
     "active_events": ("gauge", "rule", "Events that last."),
     "unreadable_total": ("counter", "", "Messages whose fields a rule could not read."),
-    "late_for_rules_total": ("counter", "", "Messages older than the last one that was evaluated."),
+    "unseen_total": ("counter", "reason", "Messages that rules read and did not see."),
+    "rule_apart_total": (
+        "counter",
+        "rule",
+        "Comparisons left out: agents heard of at once with stamps too far apart.",
+    ),
+    "rule_ignored_total": ("counter", "rule", "Messages of more agents than a rule looks at."),
     "rules_wait_seconds": ("gauge", "", "How much later rules look at messages, since a source sends out of order."),
     "rule_suspended": ("gauge", "rule", "1 while a rule of kind cel or python is suspended."),
     "rule_dropped_total": ("counter", "rule", "Messages that a rule of kind cel or python was not evaluated for."),
@@ -104,12 +111,17 @@ class DetectorStatus:
             "now": self.clock_ns(),
             "settings": {"applied": detector.applied, "refused": refusal.error, "refusals": refusal.count},
             "buffer": {"bytes": detector.pool.bytes, "bytes_max": detector.settings.buffer_bytes},
-            "topics": detector.topics.document(),
+            "topics": {
+                name: {**topic, "unseen": dict(detector.unseen.of(name))}
+                for name, topic in detector.topics.document().items()
+            },
             "topic_problems": dict(detector.topics.problems),
             "rules": {
                 "names": [rule.name for rule in engine.rules],
                 "active": [{"id": e.id, "rule": e.rule, "agents": list(e.agents)} for e in engine.active],
                 "wait_seconds": detector.wait_ns / 1e9,
+                "unseen": dict(detector.unseen.totals),
+                "apart": apart_documents(engine)[:PROBLEMS_MAX],
                 "problems": [{"rule": r, "topic": t, "problem": text} for (r, t), text in problems],
                 "workers": {} if workers is None else workers.document(),
             },
@@ -142,7 +154,9 @@ class DetectorStatus:
         yield "settings_refused", "", int(bool(self.refusal.error))
         yield "events_total", "", detector.dispatcher.dispatched
         yield "unreadable_total", "", sum(detector.engine.counts.malformed.copy().values())
-        yield "late_for_rules_total", "", detector.unseen.totals["disordered"]
+        yield from (("unseen_total", reason, count) for reason, count in detector.unseen.totals.items())
+        yield from (("rule_apart_total", rule, apart.total) for rule, apart in detector.engine.apart.items())
+        yield from (("rule_ignored_total", rule, count) for rule, count in detector.engine.ignored.items())
         yield "rules_wait_seconds", "", detector.wait_ns / 1e9
         now = self.clock_ns()
         states = Counter(source_state(topic, now) for topic in list(detector.topics.topics.values()))
@@ -185,6 +199,16 @@ class DetectorStatus:
             yield f"robotkube_recorder_waiting_writes{{{label}}} {recordings.waiting}"
             for key, value in recordings.counts().items():
                 yield f"robotkube_recorder_{key}_total{{{label}}} {value}"
+
+
+def apart_documents(engine: RuleEngine) -> list[dict[str, Any]]:
+    """The pairs that rules did not compare, since their stamps were too far apart: rule, agents, how often, and the
+    seconds between the stamps at last."""
+    return [
+        {"rule": rule, "agents": list(agents), "count": count, "seconds": seconds}
+        for rule, apart in engine.apart.items()
+        for agents, (count, seconds) in sorted(apart.seconds().items())
+    ]
 
 
 def _escaped(text: str) -> str:

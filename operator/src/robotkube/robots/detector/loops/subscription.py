@@ -49,11 +49,13 @@ class TopicSubscription:
     matched: int = 0
     incompatible: IncompatiblePublishers = field(default_factory=IncompatiblePublishers)
     evaluated: bool = False
+    lost_unseen: int = 0
     counted_before: _Counted = field(default_factory=_Counted)
     recordings: list[Recordings] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._continue_counting()
+        self.lost_unseen = self.counter.lost
 
     @property
     def last_message_at(self) -> int:

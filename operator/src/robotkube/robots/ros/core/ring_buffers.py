@@ -43,8 +43,8 @@ __all__ = [
 ]  # fmt: skip
 
 KEPT, DUPLICATE = "kept", "duplicate"
-"""The outcomes of an insertion: KEPT as the newest, DISORDERED between older ones, or JUMPED; not inserted are DUPLICATE
-(known already), LATE and AHEAD."""
+"""The outcomes of an insertion: KEPT as the newest, DISORDERED between older ones, or JUMPED. Not inserted are LATE,
+AHEAD and DUPLICATE, which was there already."""
 
 DUPLICATES_DROP, DUPLICATES_KEEP = "drop", "keep"
 

@@ -16,11 +16,12 @@ from typing import TYPE_CHECKING, Any
 from robotkube.robots.rules.core.conditions.combinations import CombinationCondition
 from robotkube.robots.rules.core.conditions.external import AnsweredQuestion, AskRule, RuleQuestion
 from robotkube.robots.rules.core.conditions.levels import earliest
+from robotkube.robots.rules.core.conditions.pairs import ApartPairs
 from robotkube.robots.rules.core.evaluators import Evaluator
 from robotkube.robots.rules.core.events import STOP, Edge
 from robotkube.robots.rules.core.messages import Message, MessageValues
 from robotkube.robots.rules.core.specification.specifications import Combination, Rule, paths
-from robotkube.robots.rules.core.unseen import DISORDERED, UnseenMessages
+from robotkube.robots.rules.core.unseen import DISORDERED, UNREADABLE, UnseenMessages
 
 if TYPE_CHECKING:
     from robotkube.robots.ros.core.cdr_readers.readers import FieldReader, Layouts
@@ -110,6 +111,17 @@ class RuleEngine:
             for topic in rule.topics:
                 fields_by_topic.setdefault(topic.text, {}).update(dict.fromkeys(paths(rule)))
         return {topic: tuple(fields) for topic, fields in fields_by_topic.items()}
+
+    @property
+    def apart(self) -> Mapping[str, ApartPairs]:
+        """Rule -> the pairs that it did not compare, since their stamps were too far apart; any thread may read it."""
+        pairs = {name: evaluator.condition.apart for name, evaluator in self._evaluators.copy().items()}
+        return {name: apart for name, apart in pairs.items() if apart is not None}
+
+    @property
+    def ignored(self) -> Mapping[str, int]:
+        """Rule -> messages of agents beyond the most that a rule looks at; any thread may read it."""
+        return {name: evaluator.ignored for name, evaluator in self._evaluators.copy().items()}
 
     def observe(self, message: Message) -> list[Edge]:
         """The edges that a message causes. A message that cannot be read is counted and changes nothing."""
@@ -277,12 +289,13 @@ class RuleEngine:
     def _evaluated(self, route: _Route, message: Message) -> list[Edge]:
         topic, type_name, stamp, received, data = message
         values: tuple[Any, ...] | None = ()
+        readable = True
         if route.reader is not None:
             try:
                 values = route.reader(data)
             except ValueError:
                 values = None
-                self._malformed(topic)
+                readable = False
         edges: list[Edge] = []
         for evaluator, select in route.evaluators:
             if select is not None and values is None:
@@ -293,13 +306,13 @@ class RuleEngine:
             try:
                 evaluator.observe(reading, edges)
             except ValueError as error:
-                self._malformed(topic)
+                readable = False
                 if len(self.problems) < PROBLEMS_MAX:
                     self.problems[evaluator.rule.name, topic] = str(error)
+        if not readable:
+            self.counts.malformed[topic] = self.counts.malformed.get(topic, 0) + 1
+            self.counts.unseen.count(topic, UNREADABLE)
         return edges
-
-    def _malformed(self, topic: str) -> None:
-        self.counts.malformed[topic] = self.counts.malformed.get(topic, 0) + 1
 
     def _propagated(self, edges: list[Edge]) -> list[Edge]:
         """The edges with those of the combinations that follow them, without those of silent rules."""

@@ -6,15 +6,27 @@ from collections.abc import Mapping
 
 from robotkube.robots.ros.core.source_clocks import AHEAD, DISORDERED, LATE
 
-__all__ = ["AHEAD", "DISORDERED", "LATE", "REASONS", "STARTING", "UNREADABLE", "UnseenMessages"]
+__all__ = [
+    "AHEAD",
+    "DISORDERED",
+    "LATE",
+    "LOST",
+    "MALFORMED",
+    "REASONS",
+    "STARTING",
+    "UNREADABLE",
+    "UnseenMessages",
+]  # fmt: skip
 
-UNREADABLE, STARTING = "unreadable", "starting"
+MALFORMED, UNREADABLE, STARTING, LOST = "malformed", "unreadable", "starting", "lost"
 REASONS: Mapping[str, str] = {
     LATE: "the stamp is older than the buffer's window",
     AHEAD: "the stamp is too far ahead to be believed",
     DISORDERED: "the stamp is older than what rules had looked at already",
+    MALFORMED: "the stamp cannot be read",
     UNREADABLE: "the fields that a rule reads cannot be read",
     STARTING: "the detector had not been told yet which events last",
+    LOST: "they were pushed out before they were received",
 }
 """Reason -> what it means."""
 TOPICS_MAX = 20_000
@@ -46,3 +58,8 @@ class UnseenMessages:
         """Topic -> reason -> messages, without what is 0."""
         known = self._by_topic.copy().items()
         return {topic: {reason: n for reason, n in counts.copy().items() if n} for topic, counts in known}
+
+
+def unseen_text(counts: Mapping[str, int]) -> str:
+    """The counts in words, without what is 0: `3 late (...), 1 ahead (...)`."""
+    return ", ".join(f"{n} {reason} ({REASONS[reason]})" for reason, n in counts.items() if n)

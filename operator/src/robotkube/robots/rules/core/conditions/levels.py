@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from heapq import heappop, heappush
 
+from robotkube.robots.rules.core.conditions.pairs import ApartPairs
 from robotkube.robots.rules.core.events import Cause
 from robotkube.robots.rules.core.messages import FALL, KEEP, RISE, Member, MemberChange, MessageValues
 from robotkube.robots.rules.core.specification.areas import Area
@@ -66,7 +67,9 @@ class Timers:
 
 class RuleCondition:
     """The base of all conditions, of which only messages change the state. `paired`: agent -> the agents it holds
-    with."""
+    with; `apart`: the pairs that it does not compare, where it compares pairs."""
+
+    apart: ApartPairs | None = None
 
     def __init__(self) -> None:
         self.holding: set[Member] = set()
