@@ -9,6 +9,7 @@ from typing import Any
 from ci import markdown
 from robotkube.robots.ros.core.source_clocks import CALM_NS, DISORDER_NS_MAX
 from robotkube.robots.rules.core import evaluators
+from robotkube.robots.rules.core.combination_feed import HELD_NS_MAX
 from robotkube.robots.rules.core.conditions.levels import GRACE_NS
 from robotkube.robots.rules.core.specification import consistency
 from robotkube.robots.rules.core.specification.json_schema import COMMON, KINDS, PROPERTIES, SCOPED, WATCHING, Kind
@@ -37,7 +38,8 @@ give the same event, live and from a bag. An edge knows its causes: the messages
   evaluated.
 - **What shows itself by silence** (an absence, the end of a sustained time, an agent that is gone) is reported at most
   {GRACE_NS / 1e9:g} s after its moment, because the message that says otherwise may be under way. Its stamp is that
-  moment.
+  moment. A combination waits for it, at most {HELD_NS_MAX / 1e9:g} s, before it follows what another part says of a
+  later one.
 - **Order**: `sustained_seconds`, `minimum_interval_seconds` and `cooldown_seconds` each put the start off; it comes
   when all have passed, if the condition still holds.
 - **Scope**: of `agent` each agent has its own event (a topic without `{{agent}}` is the detector's own agent's), of

@@ -335,6 +335,26 @@ def test_a_rule_that_fails_makes_the_command_fail(
     assert {edge["rule"] for edge in document["events"]} == {"high"}
 
 
+@pytest.mark.parametrize("x", [math.nan, math.inf, -math.inf, 1e300])
+def test_a_position_that_is_none_changes_nothing_and_is_told(
+    x: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A receiver without a fix sends such: it is neither outside of an area, nor a rule that cannot read its topic."""
+    ring = [[-200, -200], [200, -200], [200, 200], [-200, 200]]
+    area = {"type": "Polygon", "coordinates": [ring]}
+    fence = {"name": "out", "kind": "geofence", "topic": "/vehicles/{agent}/pose", "area": area, "when": "outside"}
+    moment = BEGIN + 5 * SECOND + 7
+    fix = ("/vehicles/vehicle_00/pose", moment, pose(x, 0, stamp=moment))
+    messages = sorted([*drive(), fix], key=lambda message: message[1])
+    path = written(tmp_path / "rules.yaml", {"rules": [PROXIMITY] if x == 1e300 else [PROXIMITY, fence]})
+    code, out, err = said(capsys, "rule", "test", path, str(write(tmp_path / "with", messages)), "-o", "json")
+    assert code == 0, err
+    assert "1 no_number (" in err
+    document = json.loads(out)
+    assert document["unseen"] == {"/vehicles/vehicle_00/pose": {"no_number": 1}}
+    assert [edge["id"] for edge in document["events"]] == [edge.id for edge in play(drive(), rules=[PROXIMITY]).edges]
+
+
 def write(folder: Path, messages: Sequence[Message], types: Mapping[str, str] = TYPES, **definitions: str) -> Path:
     topics = [BagTopic(name, kind, "reliable", "volatile", 10) for name, kind in types.items()]
     with BagWriter(folder, topics, definitions={**DEFINITIONS, **definitions}) as writer:

@@ -237,6 +237,14 @@ def test_a_message_that_cannot_be_compared_does_not_hide_what_ended_before_it() 
     assert stage.engine.active == ()
 
 
+@pytest.mark.parametrize("rule", [HIGH | {"topic": POSES, "field": "pose.position.x"}, FENCE, NEAR])
+def test_a_number_that_is_none_is_counted_and_no_problem(rule: dict[str, Any]) -> None:
+    stage = RuleStage(rule)
+    stage.send("vehicle-00", (math.nan, 0, 0), 1)
+    counts = stage.engine.counts
+    assert (counts.unseen.totals["no_number"], counts.malformed, stage.engine.problems) == (1, {}, {})
+
+
 def test_every_so_often_only_the_first_message_of_a_span_is_looked_at() -> None:
     stage = RuleStage({**HIGH, "every_seconds": 1})
     edges = [(at, edge.edge) for at, value in [(0, 1), (0.5, 9), (1.1, 9), (1.5, 1), (2.3, 1)]

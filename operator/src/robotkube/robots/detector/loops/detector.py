@@ -210,6 +210,12 @@ class EventDetector:
         self.recordings.tick(self._clock_ns())
         return total
 
+    def settle(self) -> None:
+        """Evaluate what waits to be put in order, as if nothing came any more."""
+        self._observe(self._order.all())
+        for edge in self.engine.settle():
+            self._dispatch(edge)
+
     def stop(self) -> None:
         """End the processes of rules."""
         if self.workers is not None:
@@ -412,7 +418,7 @@ class EventDetector:
         detector, end."""
         now = self._clock_ns()
         settings = self.settings
-        self._observe(self._order.all())  # by the rules that were there when they came
+        self.settle()  # by the rules that were there when it came
         if any(rule.kind in ("cel", "python") for rule in settings.rules) and self.workers is None:
             self.workers = self._make_workers()
         if settings.name != before.name:

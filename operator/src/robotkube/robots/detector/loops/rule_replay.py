@@ -239,7 +239,7 @@ def replay(
                 clock.observe(detector.topics.topics.get(name), name, data, time)
         if result.messages:
             _turns(detector, source)
-            now += detector.wait_ns  # for what waits to be put in order
+            detector.settle()
             _turns(detector, source)  # what processes answered to the last messages
         result.edges = sorted(collector.edges, key=lambda edge: edge.stamp)
         result.unseen = detector.unseen.topics()

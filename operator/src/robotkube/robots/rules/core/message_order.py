@@ -43,9 +43,9 @@ class MessageOrder:
         due: list[Message] = []
         held: list[Message] = []
         for message in (*self._held, *messages):
-            received = self._received(message)
-            if received <= moment:
-                due.append(message if received == message.received else message._replace(received=received))
+            aligned = self._aligned(message)
+            if aligned.received <= moment:
+                due.append(aligned)
             else:
                 held.append(message)
         self._held = held
@@ -53,15 +53,17 @@ class MessageOrder:
 
     def all(self, messages: Iterable[Message] = ()) -> Sequence[Message]:
         """All messages, those that wait among them, in the order of their stamps."""
-        every = [*self._held, *messages]
+        every = [*map(self._aligned, self._held), *messages] if self._held else list(messages)
         if len(every) > 1:
             every.sort(key=_stamp)
         self._held = []
         return every
 
-    def _received(self, message: Message) -> int:
+    def _aligned(self, message: Message) -> Message:
+        """The message with the time at which the fastest ones of its source would have been received."""
         clock = self._disordered.get(message.topic)
-        return message.received if clock is None else clock.due(message.stamp, message.received)
+        received = message.received if clock is None else clock.due(message.stamp, message.received)
+        return message if received == message.received else message._replace(received=received)
 
     def _expect(self, now: int) -> None:
         """Wait for as long as the sources that are out of order need; for one that has kept its order, no more."""

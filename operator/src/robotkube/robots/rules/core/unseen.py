@@ -12,19 +12,22 @@ __all__ = [
     "LATE",
     "LOST",
     "MALFORMED",
+    "NO_NUMBER",
     "REASONS",
     "STARTING",
     "UNREADABLE",
     "UnseenMessages",
 ]  # fmt: skip
 
-MALFORMED, UNREADABLE, STARTING, LOST = "malformed", "unreadable", "starting", "lost"
+MALFORMED, UNREADABLE, NO_NUMBER = "malformed", "unreadable", "no_number"
+STARTING, LOST = "starting", "lost"
 REASONS: Mapping[str, str] = {
     LATE: "the stamp is older than the buffer's window",
     AHEAD: "the stamp is too far ahead to be believed",
     DISORDERED: "the stamp is older than what rules had looked at already",
     MALFORMED: "the stamp cannot be read",
     UNREADABLE: "the fields that a rule reads cannot be read",
+    NO_NUMBER: "a number that a rule compares is none (NaN), or a position is not finite",
     STARTING: "the detector had not been told yet which events last",
     LOST: "they were pushed out before they were received",
 }

@@ -11,7 +11,7 @@ from operator import attrgetter
 from robotkube.robots.rules.core.conditions.levels import RuleCondition
 from robotkube.robots.rules.core.conditions.pairs import ApartPairs
 from robotkube.robots.rules.core.events import Cause
-from robotkube.robots.rules.core.messages import FALL, RISE, MemberChange, MessageValues, pair
+from robotkube.robots.rules.core.messages import FALL, RISE, MemberChange, MessageValues, NoNumberError, pair
 from robotkube.robots.rules.core.specification.specifications import Proximity
 
 POSITION_MAX = 1e12
@@ -97,7 +97,7 @@ class ProximityCondition(RuleCondition):
         topic, agent, stamp, received, (x, y, z), _, _ = reading
         most = POSITION_MAX
         if not (-most <= x <= most and -most <= y <= most and -most <= z <= most):
-            raise ValueError(f"{self._settings.position} is no position")
+            raise NoNumberError(f"{self._settings.position} is no position")
         cell = floor(x / self._width), floor(y / self._width)
         place = self._places.get(agent)
         if place is None:
