@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from ci import markdown
+from robotkube.robots.ros.core.source_clocks import CALM_NS, DISORDER_NS_MAX
 from robotkube.robots.rules.core import evaluators
+from robotkube.robots.rules.core.combination_feed import HELD_NS_MAX
 from robotkube.robots.rules.core.conditions.levels import GRACE_NS
-from robotkube.robots.rules.core.engine import JUMP_COUNT, JUMP_NS
 from robotkube.robots.rules.core.specification import consistency
 from robotkube.robots.rules.core.specification.json_schema import COMMON, KINDS, PROPERTIES, SCOPED, WATCHING, Kind
 from robotkube.robots.rules.loops.workers import QUESTIONS_MAX as WAITING
@@ -29,12 +30,16 @@ A rule raises an event for an agent, for two of them, or for a group, at its **s
 edge**. Both carry the event's `id`, which is made of the rule, the agents and the stamp of the start: the same messages
 give the same event, live and from a bag. An edge knows its causes: the messages and the values that were compared.
 
-- **Time** is the messages' own stamp (header, else reception). A message older than the last one of its topic is
-  counted and not evaluated. A topic that is behind by more than {JUMP_NS / 1e9:g} s {JUMP_COUNT} times in a row
-  has begun anew (a simulation, a bag in a loop): its agent begins anew, too.
+- **Time** is the messages' own stamp (header, else reception), as far as the topic's buffer believes it: what the
+  buffer refuses is a sign of life and nothing else, and where its time begins anew (a simulation, a bag in a loop), so
+  does the agent's ([buffer and time](../explanation/buffer-and-time.md)).
+- **Disorder**: messages that come out of order are put in order first, for which all rules wait, at most
+  {DISORDER_NS_MAX / 1e9:g} s and until {CALM_NS / 1e9:g} s after the last one. What comes later than that is not
+  evaluated.
 - **What shows itself by silence** (an absence, the end of a sustained time, an agent that is gone) is reported at most
   {GRACE_NS / 1e9:g} s after its moment, because the message that says otherwise may be under way. Its stamp is that
-  moment.
+  moment. A combination waits for it, at most {HELD_NS_MAX / 1e9:g} s, before it follows what another part says of a
+  later one.
 - **Order**: `sustained_seconds`, `minimum_interval_seconds` and `cooldown_seconds` each put the start off; it comes
   when all have passed, if the condition still holds.
 - **Scope**: of `agent` each agent has its own event (a topic without `{{agent}}` is the detector's own agent's), of

@@ -83,11 +83,7 @@ def test(options: argparse.Namespace) -> Table:
         began = time.monotonic()
         result = run(settings, bags, options.start)
         seconds = time.monotonic() - began
-    for problem in [
-        *result.incomplete,
-        *result.problems,
-        *(f"{name}: {n} messages cannot be read" for name, n in result.malformed.items()),
-    ]:
+    for problem in [*result.incomplete, *result.problems]:
         complain(problem)
     print(_summary(result, seconds), file=sys.stderr)
     scored = None
@@ -228,6 +224,8 @@ def _table(result: ReplayResult, scored: Score | None, problems: Sequence[str]) 
         "begin": result.begin,
         "end": result.begin + result.last - result.first,
         "messages": result.messages,
+        "unseen": {topic: dict(counts) for topic, counts in result.unseen.items()},
+        "apart": [dict(apart) for apart in result.apart],
         "problems": list(problems),
     }
     refused = ["events may be missing: not all rules could look at all messages"] if result.incomplete else []

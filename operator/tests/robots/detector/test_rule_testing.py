@@ -104,7 +104,7 @@ def test_the_events_are_those_of_brute_force() -> None:
     assert sorted(edges) == sorted(brute_force(drive()))
     assert len(edges) > 6
     assert result.messages == 1200
-    assert not result.malformed
+    assert not result.unseen
     assert not result.problems
     assert not result.incomplete
 
@@ -138,7 +138,7 @@ def test_delays_of_a_network_change_no_pair(seed: int) -> None:
 def test_what_cannot_be_read_is_counted() -> None:
     messages = drive()
     messages.insert(100, ("/vehicles/vehicle_00/pose", messages[100][1], b"\0\1\0\0short"))
-    assert sum(play(messages).malformed.values()) == 1
+    assert play(messages).unseen == {"/vehicles/vehicle_00/pose": {"malformed": 1}}
 
 
 # expectations --------------------------------------------------------------------------------------------------------
@@ -333,6 +333,26 @@ def test_a_rule_that_fails_makes_the_command_fail(
     ]
     assert "events may be missing" in err
     assert {edge["rule"] for edge in document["events"]} == {"high"}
+
+
+@pytest.mark.parametrize("x", [math.nan, math.inf, -math.inf, 1e300])
+def test_a_position_that_is_none_changes_nothing_and_is_told(
+    x: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A receiver without a fix sends such: it is neither outside of an area, nor a rule that cannot read its topic."""
+    ring = [[-200, -200], [200, -200], [200, 200], [-200, 200]]
+    area = {"type": "Polygon", "coordinates": [ring]}
+    fence = {"name": "out", "kind": "geofence", "topic": "/vehicles/{agent}/pose", "area": area, "when": "outside"}
+    moment = BEGIN + 5 * SECOND + 7
+    fix = ("/vehicles/vehicle_00/pose", moment, pose(x, 0, stamp=moment))
+    messages = sorted([*drive(), fix], key=lambda message: message[1])
+    path = written(tmp_path / "rules.yaml", {"rules": [PROXIMITY] if x == 1e300 else [PROXIMITY, fence]})
+    code, out, err = said(capsys, "rule", "test", path, str(write(tmp_path / "with", messages)), "-o", "json")
+    assert code == 0, err
+    assert "1 no_number (" in err
+    document = json.loads(out)
+    assert document["unseen"] == {"/vehicles/vehicle_00/pose": {"no_number": 1}}
+    assert [edge["id"] for edge in document["events"]] == [edge.id for edge in play(drive(), rules=[PROXIMITY]).edges]
 
 
 def write(folder: Path, messages: Sequence[Message], types: Mapping[str, str] = TYPES, **definitions: str) -> Path:

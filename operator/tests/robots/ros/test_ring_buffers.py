@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from robotkube.robots.ros.core.ring_buffers import (
-    BEHIND_COUNT,
+    AHEAD,
+    DISORDERED,
     DUPLICATE,
     DUPLICATES_KEEP,
     JUMP_KEEP,
@@ -23,6 +24,7 @@ from robotkube.robots.ros.core.ring_buffers import (
     RingBuffer,
     Sample,
 )
+from robotkube.robots.ros.core.source_clocks import BEHIND_COUNT
 from tests.stages.ros.buffer_model import KNOWN_POLICIES, ModelBuffer, ModelPool, random_messages
 
 S, MS = 1_000_000_000, 1_000_000
@@ -49,7 +51,7 @@ def filled(*stamps_ms: int, jump: str = "restart", count: int = 1000) -> tuple[R
 @pytest.mark.parametrize("count", CASES)
 def test_it_does_what_a_plain_list_would(count: int) -> None:
     """Random order, duplicates, outliers, jumps, silence and bounds, against a model that sorts and searches a list."""
-    seen = {KEPT: 0, LATE: 0, DUPLICATE: 0, JUMPED: 0}
+    seen = dict.fromkeys((KEPT, DISORDERED, LATE, AHEAD, DUPLICATE, JUMPED), 0)
     for seed in range(count):
         draw = random.Random(seed)  # noqa: S311 - the same cases every time
         bounds = BufferBounds(draw.choice([0.5, 1.0, 3.0]), draw.choice([200, 2000, 10**6]), draw.choice([1, 7, 1000]))
@@ -121,7 +123,7 @@ def test_a_topic_of_a_pool_becomes_latched_and_back_with_its_bytes() -> None:
 def check_sums(buffer: RingBuffer) -> None:
     """Every message received is somewhere."""
     numbers = buffer.counters()
-    assert numbers["received"] == numbers["kept"] + numbers["late"] + numbers["duplicates"]
+    assert numbers["received"] == sum(numbers[name] for name in ("kept", "late", "ahead", "duplicates"))
     left = sum(numbers[name] for name in numbers if name.startswith("evicted_")) + numbers["cleared"]
     assert numbers["kept"] == numbers["messages"] + left
     assert numbers["bytes"] == sum(len(kept.data) for kept in buffer.samples())
@@ -169,31 +171,31 @@ def test_a_topic_that_is_removed_gives_its_bytes_back() -> None:
 
 def test_out_of_order_is_put_in_order_and_late_is_dropped() -> None:
     buffer, outcomes = filled(5000, 4500, 5100, 4000)
-    assert outcomes == [KEPT, KEPT, KEPT, LATE]
+    assert outcomes == [KEPT, DISORDERED, KEPT, LATE]
     assert (stamps(buffer), buffer.disordered, buffer.late) == ([4500, 5000, 5100], 1, 1)
 
 
-@pytest.mark.parametrize("outlier", [1000, 9000])
-def test_one_outlier_moves_nothing(outlier: int) -> None:
+@pytest.mark.parametrize(("outlier", "outcome"), [(1000, LATE), (9000, AHEAD)])
+def test_one_outlier_moves_nothing(outlier: int, outcome: str) -> None:
     """Neither a message far behind nor one far ahead clears the buffer or moves its window."""
     buffer, outcomes = filled(5000, 5010, outlier, 5020, outlier + 5, 5030)
-    assert outcomes == [KEPT, KEPT, LATE, KEPT, LATE, KEPT]
+    assert outcomes == [KEPT, KEPT, outcome, KEPT, outcome, KEPT]
     assert (stamps(buffer), buffer.jumps) == ([5000, 5010, 5020, 5030], 0)
 
 
-@pytest.mark.parametrize("there", [1000, 9000])
-def test_two_in_a_row_are_a_jump(there: int) -> None:
+@pytest.mark.parametrize(("there", "first"), [(1000, LATE), (9000, AHEAD)])
+def test_two_in_a_row_are_a_jump(there: int, first: str) -> None:
     buffer, outcomes = filled(5000, 5010, there, there + 10, there + 20)
-    assert outcomes == [KEPT, KEPT, LATE, JUMPED, KEPT]
+    assert outcomes == [KEPT, KEPT, first, JUMPED, KEPT]
     assert (stamps(buffer), buffer.jumps, buffer.cleared) == ([there + 10, there + 20], 1, 2)
 
 
 def test_two_outliers_of_different_times_are_no_jump() -> None:
-    assert filled(5000, 1000, 9000, 3000, 5010)[1] == [KEPT, LATE, LATE, LATE, KEPT]
+    assert filled(5000, 1000, 9000, 3000, 5010)[1] == [KEPT, LATE, AHEAD, LATE, KEPT]
 
 
 def test_three_on_one_side_are_a_jump_wherever_they_are() -> None:
-    assert filled(5000, 9000, 29000, 60000, 60010)[1] == [KEPT, LATE, LATE, JUMPED, KEPT]
+    assert filled(5000, 9000, 29000, 60000, 60010)[1] == [KEPT, AHEAD, AHEAD, JUMPED, KEPT]
 
 
 def test_a_topic_slower_than_the_window_jumps_with_its_clock() -> None:
@@ -201,7 +203,7 @@ def test_a_topic_slower_than_the_window_jumps_with_its_clock() -> None:
     buffer = RingBuffer(BufferBounds(1.0, 1000))
     hour = 3_600_000
     times = [(0, 0), (15_000, 15_000), (hour + 30_000, 30_000), (hour + 45_000, 45_000), (hour + 60_000, 60_000)]
-    assert [buffer.insert(sample(*pair)) for pair in times] == [KEPT, KEPT, LATE, JUMPED, KEPT]
+    assert [buffer.insert(sample(*pair)) for pair in times] == [KEPT, KEPT, AHEAD, JUMPED, KEPT]
 
 
 def test_one_outlier_sent_twice_is_no_jump() -> None:
@@ -212,7 +214,7 @@ def test_one_outlier_sent_twice_is_no_jump() -> None:
 def test_kept_time_does_not_go_back_but_forward() -> None:
     """Policy keep: what is behind the window stays late; ahead there is nothing to keep, so it goes on there."""
     assert filled(5000, 1000, 1010, 1020, 5010, jump=JUMP_KEEP)[1] == [KEPT, LATE, LATE, LATE, KEPT]
-    assert filled(5000, 9000, 9010, 9020, jump=JUMP_KEEP)[1] == [KEPT, LATE, JUMPED, KEPT]
+    assert filled(5000, 9000, 9010, 9020, jump=JUMP_KEEP)[1] == [KEPT, AHEAD, JUMPED, KEPT]
 
 
 def test_silence_is_no_jump() -> None:
@@ -235,7 +237,7 @@ def test_a_loop_shorter_than_the_window_is_a_jump() -> None:
 def test_old_messages_that_come_in_a_burst_are_no_jump() -> None:
     """Those of an outage, 0.9 s of them at once behind the first new one."""
     buffer, outcomes = filled(5000, 6000, *range(5100, 6000, 10))
-    assert set(outcomes) == {KEPT}
+    assert outcomes == [KEPT, KEPT, *[DISORDERED] * 90]
     assert (buffer.jumps, buffer.disordered) == (0, 90)
 
 
@@ -271,7 +273,7 @@ def test_every_bound_has_its_counter() -> None:
 
 def test_a_latched_buffer_keeps_what_was_said_once() -> None:
     buffer = RingBuffer(BufferBounds(1.0, 1000, 2), latched=True)
-    assert [buffer.insert(sample(stamp, data=b"%d" % stamp)) for stamp in (0, 10**9, 10**6)] == [KEPT] * 3
+    assert [buffer.insert(sample(stamp, data=b"%d" % stamp)) for stamp in (0, 10**9, 10**6)] == [KEPT, KEPT, DISORDERED]
     assert stamps(buffer) == [10**6, 10**9]
 
 

@@ -96,18 +96,37 @@ def test_a_late_message_is_counted_and_not_evaluated() -> None:
     stage = RuleStage(HIGH)
     stage.send("vehicle-00", 1, 1)
     assert not stage.send("vehicle-00", 9, 0.9)
-    assert stage.engine.counts.late == 1
+    assert stage.engine.counts.unseen.totals["disordered"] == 1
     assert stage.send("vehicle-00", 9, 1), "the same stamp again is no late one"
 
 
 def test_time_that_begins_anew_is_followed() -> None:
-    """A simulation that starts over: after two messages far behind, the old time counts no more."""
+    """A simulation that starts over: when the topic's clock has said so, the old time counts no more."""
     stage = RuleStage({**HIGH, "cooldown_seconds": 30})
     assert stage.send("vehicle-00", 9, 1000)
     assert stage.send("vehicle-00", 1, 1001)
     assert not stage.send("vehicle-00", 9, 5)
+    stage.engine.restart("/vehicles/vehicle_00/value", NOW + 5 * SECOND)
     assert seconds(stage.send("vehicle-00", 9, 5.1)) == [(START, ("vehicle-00",), 5.1)]
-    assert (stage.engine.counts.jumps, stage.engine.counts.late) == (1, 1)
+
+
+def test_a_message_without_a_credible_stamp_is_a_sign_of_life() -> None:
+    """It puts an absence off, by the clock of reception; so does one that is older than the last one."""
+    stage = RuleStage({"name": "lost", "kind": "absence", "topic": NUMBERS, "seconds": 2})
+    stage.send("vehicle-00", 1, 1)
+    stage.engine.overlook("/vehicles/vehicle_00/value", NOW + 2 * SECOND)
+    assert stage.tick(3.5) == []
+    stage.send("vehicle-00", 1, 0.5, 3.6)
+    assert stage.tick(5.6) == []
+    assert seconds(stage.tick(5.8)) == [(START, ("vehicle-00",), 5.6)]
+
+
+def test_a_rate_counts_messages_that_come_late() -> None:
+    stage = RuleStage({"name": "slow", "kind": "rate", "topic": NUMBERS, "start_below_hz": 8, "stop_above_hz": 9,
+                       "window_seconds": 2})  # fmt: skip
+    order = [step ^ 1 for step in range(100)]  # each two in the wrong order
+    assert [edge for step in order for edge in stage.send("vehicle-00", 1, step / 10)] == []
+    assert stage.engine.counts.unseen.of("/vehicles/vehicle_00/value")["disordered"] == 50
 
 
 @pytest.mark.parametrize(
@@ -216,6 +235,14 @@ def test_a_message_that_cannot_be_compared_does_not_hide_what_ended_before_it() 
     stage.send("vehicle-00", (5, 1, 0), 1)
     assert seconds(stage.send("vehicle-00", (math.nan, 0, 0), 50)) == [(STOP, ("vehicle-00",), 31.0)]
     assert stage.engine.active == ()
+
+
+@pytest.mark.parametrize("rule", [HIGH | {"topic": POSES, "field": "pose.position.x"}, FENCE, NEAR])
+def test_a_number_that_is_none_is_counted_and_no_problem(rule: dict[str, Any]) -> None:
+    stage = RuleStage(rule)
+    stage.send("vehicle-00", (math.nan, 0, 0), 1)
+    counts = stage.engine.counts
+    assert (counts.unseen.totals["no_number"], counts.malformed, stage.engine.problems) == (1, {}, {})
 
 
 def test_every_so_often_only_the_first_message_of_a_span_is_looked_at() -> None:

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from itertools import product
 
 from robotkube.robots.ros.core.ring_buffers import (
-    BEHIND_COUNT,
-    BEHIND_NS,
+    AHEAD,
+    DISORDERED,
     DUPLICATE,
     DUPLICATES_DROP,
     DUPLICATES_KEEP,
@@ -17,10 +17,10 @@ from robotkube.robots.ros.core.ring_buffers import (
     JUMPED,
     KEPT,
     LATE,
-    OUTLIERS_MAX,
     BufferBounds,
     Sample,
 )
+from robotkube.robots.ros.core.source_clocks import BEHIND_COUNT, BEHIND_NS, OUTLIERS_MAX
 
 KNOWN_POLICIES = list(product([False, False, True], [DUPLICATES_DROP, DUPLICATES_KEEP], [JUMP_RESTART, JUMP_KEEP]))
 MS = 1_000_000
@@ -37,7 +37,7 @@ class ModelBuffer:
         self.behind: list[int] = []
         self.far: list[Sample] = []
         self.counters = dict.fromkeys(
-            ("late", "duplicates", "disordered", "jumps", "cleared", "evicted_seconds", "evicted_bytes",
+            ("late", "ahead", "duplicates", "disordered", "jumps", "cleared", "evicted_seconds", "evicted_bytes",
              "evicted_count", "evicted_process"), 0,
         )  # fmt: skip
 
@@ -64,14 +64,15 @@ class ModelBuffer:
             again = self._confirms(before, sample, too_far_ahead)
             if again and (too_far_ahead or self.jump == JUMP_RESTART):
                 return self._restart(sample)
-            self.counters["late"] += 1
-            return LATE
+            self.counters["ahead" if too_far_ahead else "late"] += 1
+            return AHEAD if too_far_ahead else LATE
         known = any(kept.stamp == sample.stamp and kept.data == sample.data for kept in self.kept)
         if self.duplicates == DUPLICATES_DROP and known:
             self.counters["duplicates"] += 1
             return DUPLICATE
         self.counters["disordered"] += ahead < 0
-        return self._keep(sample)
+        self._keep(sample)
+        return DISORDERED if ahead < 0 else KEPT
 
     def _confirms(self, before: list[Sample], sample: Sample, ahead: bool) -> bool:
         """`before`: those far off in a row up to now, on one side."""

@@ -11,7 +11,6 @@ import logging
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robotkube.errors import InputError
@@ -24,8 +23,27 @@ from robotkube.robots.recording.core.audits import PUSHED_OUT, SUBSCRIPTION
 from robotkube.robots.ros.core.cdr_readers.readers import Layouts
 from robotkube.robots.ros.core.common_messages import string_text
 from robotkube.robots.ros.core.gaps import Gap
-from robotkube.robots.ros.core.ring_buffers import DUPLICATE, JUMPED, KEPT, BufferPool, Sample
-from robotkube.robots.rules.core import START, STOP, Edge, Message, Rule, RuleEngine, RuleQuestion, event_identity
+from robotkube.robots.ros.core.ring_buffers import (
+    AHEAD,
+    DISORDERED,
+    DUPLICATE,
+    JUMPED,
+    KEPT,
+    BufferPool,
+    Sample,
+)
+from robotkube.robots.rules.core import (
+    START,
+    STOP,
+    Edge,
+    Message,
+    Rule,
+    RuleEngine,
+    RuleQuestion,
+    event_identity,
+    unseen,
+)
+from robotkube.robots.rules.core.message_order import MessageOrder
 
 if TYPE_CHECKING:
     from robotkube.robots.detector.loops.dispatching import Dispatcher
@@ -38,7 +56,6 @@ ADOPT_SECONDS_MAX = 5.0
 
 log = logging.getLogger(__name__)
 
-_stamp = itemgetter(2)
 _new = tuple.__new__
 """Named tuples without their own constructor, which is a Python function and takes three times as long."""
 
@@ -78,7 +95,9 @@ class EventDetector:
         self.settings = DetectorSettings("", ())
         self.state = INACTIVE
         self.reached = ReachedState(INACTIVE, self.started, self.started)
-        self.engine = RuleEngine((), layouts, "", self._ask)
+        self.unseen = unseen.UnseenMessages()
+        self.engine = RuleEngine((), layouts, "", self._ask, self.unseen)
+        self._order = MessageOrder()
         self._adopt_until: float | None = None
         self._adopted = True
         self._discover_at = float("-inf")
@@ -89,6 +108,11 @@ class EventDetector:
     def subscribed(self) -> int:
         """The number of subscriptions."""
         return len(self.topics.topics)
+
+    @property
+    def wait_ns(self) -> int:
+        """How much later than their reception rules look at messages, since some source sends out of order."""
+        return self._order.wait_ns
 
     @property
     def not_ready(self) -> str:
@@ -158,7 +182,7 @@ class EventDetector:
             place = places[name, type_name]
             stamp = None if place is None else self._stamp_of(place, data, received)
             if place is not None and stamp is not None:
-                filled += place.buffer.insert(Sample(stamp, received, data)) in (KEPT, JUMPED)
+                filled += place.buffer.insert(Sample(stamp, received, data)) in (KEPT, DISORDERED, JUMPED)
         return filled
 
     def turn(self) -> int:
@@ -185,6 +209,12 @@ class EventDetector:
         self._jumps.clear()
         self.recordings.tick(self._clock_ns())
         return total
+
+    def settle(self) -> None:
+        """Evaluate what waits to be put in order, as if nothing came any more."""
+        self._observe(self._order.all())
+        for edge in self.engine.settle():
+            self._dispatch(edge)
 
     def stop(self) -> None:
         """End the processes of rules."""
@@ -221,21 +251,50 @@ class EventDetector:
                     stamp = stamp_of(data) or received  # 0: nobody has set it
                 except ValueError:
                     topic.counter.malformed += 1
+                    if topic.evaluated:
+                        self.unseen.count(name, unseen.MALFORMED)
                     continue
             count(stamp, received)
             sample = _new(Sample, (stamp, received, data))
             outcome = insert(sample)
-            if outcome is DUPLICATE:
+            if outcome is not KEPT and not self._goes_on(topic, sample, outcome, batch):
                 continue
             for recording in recordings:
                 recording.offer(name, type_name, sample)
-            if outcome is JUMPED:
-                self._jumped(topic, sample)
             if batch is not None:
                 batch.append(_new(Message, (name, type_name, stamp, received, data)))
         if before is not None:
             self._note_pushed_out(topic, lost - topic.counter.lost, before)
         topic.counter.lost = lost
+        if topic.evaluated:
+            self._count_unseen(topic, 0 if batch is not None else len(messages))
+
+    def _count_unseen(self, topic: TopicSubscription, unevaluated: int) -> None:
+        """Count messages that rules have not got: those that were pushed out, and `unevaluated` ones."""
+        if topic.counter.lost > topic.lost_unseen:
+            self.unseen.count(topic.name, unseen.LOST, topic.counter.lost - topic.lost_unseen)
+            topic.lost_unseen = topic.counter.lost
+        if unevaluated and self.state == ACTIVE:
+            self.unseen.count(topic.name, unseen.STARTING, unevaluated)
+
+    def _goes_on(self, topic: TopicSubscription, sample: Sample, outcome: str, batch: list[Message] | None) -> bool:
+        """True when a message that is not simply the next one goes on to recordings and rules."""
+        if outcome is DUPLICATE:
+            return False
+        if outcome is JUMPED:
+            self._jumped(topic, sample, batch)
+            return True
+        if outcome is DISORDERED:
+            if batch is not None:
+                self._order.note_disorder(topic.name, topic.buffer.clock, sample.received)
+            return True
+        for recording in topic.recordings:
+            if outcome is not AHEAD or recording.plan.always:  # nobody knows to which event it belongs
+                recording.offer(topic.name, topic.settings.type, sample)
+        if batch is not None:
+            self.unseen.count(topic.name, outcome)
+            self.engine.overlook(topic.name, sample.received)
+        return False
 
     @staticmethod
     def _note_pushed_out(topic: TopicSubscription, count: int, before: Sample) -> None:
@@ -254,8 +313,14 @@ class EventDetector:
             place.counter.malformed += 1
             return None
 
-    def _jumped(self, topic: TopicSubscription, sample: Sample) -> None:
-        """Queue an event of the rule time-jump: the topic's time has jumped, and its buffer has begun anew."""
+    def _jumped(self, topic: TopicSubscription, sample: Sample, batch: list[Message] | None) -> None:
+        """Queue an event of the rule time-jump: the topic's time has jumped, and its buffer has begun anew.
+
+        Rules get what came before the jump first, and begin anew with the topic as its buffer does."""
+        if batch is not None:
+            self._observe(self._order.all(batch))
+            batch.clear()
+            self.engine.restart(topic.name, sample.stamp)
         event, trace = event_identity(TIME_JUMP, (topic.agent, topic.name), sample.stamp)
         begin = Edge(TIME_JUMP, START, (topic.agent,), event, trace, sample.received, sample.stamp)
         log.warning("topic %s: its time has jumped to %d; the buffer begins anew", topic.name, sample.stamp)
@@ -263,23 +328,25 @@ class EventDetector:
 
     def _evaluate(self, batch: list[Message]) -> None:
         """Evaluate messages in the order of their stamps across topics, so that a replay gives the same events."""
-        if len(batch) > 1:
-            batch.sort(key=_stamp)
-        observe = self.engine.observe
-        for message in batch:
-            for edge in observe(message):
-                self._dispatch(edge)
+        now = self._clock_ns()
+        self._observe(self._order.due(batch, now))
         if self.workers is not None:
             for answered in self.workers.collect():
                 for edge in self.engine.answer(answered):
                     self._dispatch(edge)
-        now = self._clock_ns()
+        moment = self._clock_ns() - self._order.wait_ns
         due = self.engine.due()
-        if due is not None and due <= now:
-            for edge in self.engine.tick(now):
+        if due is not None and due <= moment:
+            for edge in self.engine.tick(moment):
                 self._dispatch(edge)
         while self._jumps:
             self._dispatch(self._jumps.popleft())
+
+    def _observe(self, messages: Iterable[Message]) -> None:
+        observe = self.engine.observe
+        for message in messages:
+            for edge in observe(message):
+                self._dispatch(edge)
 
     def _dispatch(self, edge: Edge) -> None:
         self.recordings.react(edge, self._clock_ns())
@@ -351,11 +418,12 @@ class EventDetector:
         detector, end."""
         now = self._clock_ns()
         settings = self.settings
+        self.settle()  # by the rules that were there when it came
         if any(rule.kind in ("cel", "python") for rule in settings.rules) and self.workers is None:
             self.workers = self._make_workers()
         if settings.name != before.name:
             self._end(self.engine.active, now)
-            self.engine = RuleEngine((), self._layouts, settings.agent, self._ask)
+            self.engine = RuleEngine((), self._layouts, settings.agent, self._ask, self.unseen)
         if settings.task != before.task or settings.types != before.types:
             self._replace((), now)
         if self.workers is not None:

@@ -9,7 +9,7 @@ from robotkube.robots.detector.loops.input_counters import InputCounter
 from robotkube.robots.ros.core.ring_buffers import RingBuffer
 
 COUNTED = ("received", "malformed", "lost", "incompatible", "missed_deadlines", "lost_liveliness")
-BUFFERED = ("late", "duplicates", "jumps")
+BUFFERED = ("late", "ahead", "duplicates", "jumps")
 EVICTED = ("evicted_seconds", "evicted_bytes", "evicted_count", "evicted_process")
 
 CounterSource = InputCounter | RingBuffer

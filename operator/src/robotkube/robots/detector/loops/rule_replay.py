@@ -9,18 +9,20 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from robotkube.errors import InputError
 from robotkube.robots.detector.core.settings import ACTIVE, DetectorSettings, TopicSettings
 from robotkube.robots.detector.loops.detector import EventDetector
 from robotkube.robots.detector.loops.dispatching import Dispatcher
 from robotkube.robots.detector.loops.recording import RecordingReactions
+from robotkube.robots.detector.loops.status import apart_documents
 from robotkube.robots.detector.loops.subscription import TopicSubscription
 from robotkube.robots.detector.loops.subscriptions import SUBSCRIPTIONS_MAX
 from robotkube.robots.ros.core.cdr_readers.readers import Layouts
 from robotkube.robots.ros.core.qos import IncompatiblePublishers, PublisherOffer, QosProfile, QosViolations
 from robotkube.robots.rules.core import AnsweredQuestion, Edge
+from robotkube.robots.rules.core.unseen import unseen_text
 from robotkube.robots.rules.loops.workers import RuleWorkers
 
 if TYPE_CHECKING:
@@ -135,16 +137,17 @@ def _refuse(*_: object) -> NoReturn:
 @dataclass
 class ReplayResult:
     """The result of a replay. `first`, `last`: times of the bags in ns, 0 without a message; `begin`: `first` on the
-    clock of the messages' stamps; `messages`: number of messages of topics that rules read; `malformed`: topic ->
-    messages that are none of their type; `incomplete`: rules that could not read all messages, and why; `problems`:
-    other remarks on the result."""
+    clock of the messages' stamps; `messages`: number of messages of topics that rules read; `unseen`: topic -> reason
+    -> messages that a rule did not see; `apart`: pairs that rules did not compare, as `/status` has them; `incomplete`:
+    rules that could not read all messages, and why; `problems`: other remarks on the result."""
 
     edges: list[Edge] = field(default_factory=list)
     messages: int = 0
     first: int = 0
     begin: int = 0
     last: int = 0
-    malformed: dict[str, int] = field(default_factory=dict)
+    unseen: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    apart: Sequence[Mapping[str, Any]] = ()
     incomplete: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
 
@@ -236,12 +239,14 @@ def replay(
                 clock.observe(detector.topics.topics.get(name), name, data, time)
         if result.messages:
             _turns(detector, source)
+            detector.settle()
             _turns(detector, source)  # what processes answered to the last messages
         result.edges = sorted(collector.edges, key=lambda edge: edge.stamp)
-        result.malformed = {n: c.malformed for n, c in detector.topics.counters().items() if c.malformed}
+        result.unseen = detector.unseen.topics()
+        result.apart = apart_documents(detector.engine)
         result.incomplete = list(_incomplete_rules(detector))
         result.begin = result.first - clock.lag
-        result.problems = list(clock.problems(result.begin))
+        result.problems = [*clock.problems(result.begin), *_unseen_problems(result)]
         result.problems += [
             f"{name}: not read: {SUBSCRIPTIONS_MAX} topics are" for name in sorted(set(clock.seen) - set(source.inputs))
         ]
@@ -255,6 +260,16 @@ def _turns(detector: EventDetector, source: BagTopics) -> None:
         detector.turn()
         if not source.waiting:
             return
+
+
+def _unseen_problems(result: ReplayResult) -> Iterable[str]:
+    for topic, counts in sorted(result.unseen.items()):
+        yield f"{topic}: messages that no rule, or not every rule, saw: {unseen_text(counts)}"
+    for apart in result.apart:
+        yield (
+            f"rule {apart['rule']} did not compare {' and '.join(apart['agents'])} {apart['count']} times: they were "
+            f"heard of at once, with stamps {apart['seconds']:.1f} s apart; is one of their clocks wrong?"
+        )
 
 
 def _incomplete_rules(detector: EventDetector) -> Iterable[str]:

@@ -5,15 +5,18 @@ Labels take values of closed lists: topic patterns, rules and reactions of the s
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from robotkube.robots.detector.core.settings import STATES
+from robotkube.robots.detector.loops.subscription import SOURCE_STATES, source_state
 from robotkube.robots.reactions.loops.delivery_journal import MEMORY_ONLY
 
 if TYPE_CHECKING:
     from robotkube.robots.detector.loops.detector import EventDetector
+    from robotkube.robots.rules.core import RuleEngine
 
 PROBLEMS_MAX = 50
 PREFIX = "robotkube_detector_"
@@ -28,6 +31,7 @@ METRICS: Mapping[str, tuple[str, str, str]] = {
     "subscriptions": ("gauge", "topic", "Topics that are subscribed to, by pattern."),
     "matched_sources": ("gauge", "topic", "Publishers that are connected."),
     "stale_topics": ("gauge", "topic", "Topics that have been silent for longer than stale_seconds."),
+    "sources": ("gauge", "state", "Topics whose stamps are in that state."),
     "mismatched_topics": ("gauge", "topic", "Topics with a publisher whose type or quality of service does not fit."),
     "incompatible_total": ("counter", "topic", "Publishers that the middleware refused because of their quality."),
     "missed_deadlines_total": ("counter", "topic", "Deadlines asked for that passed without a message."),
@@ -37,14 +41,22 @@ METRICS: Mapping[str, tuple[str, str, str]] = {
     "lost_total": ("counter", "topic", "Messages that were pushed out before they were received."),
     "buffer_messages": ("gauge", "topic", "Messages in the ring buffers."),
     "buffer_bytes": ("gauge", "topic", "Bytes in the ring buffers."),
-    "late_total": ("counter", "topic", "Messages older than the window, or wrongly newer."),
+    "late_total": ("counter", "topic", "Messages older than the window."),
+    "ahead_total": ("counter", "topic", "Messages whose stamp was too far ahead to be believed."),
     "duplicates_total": ("counter", "topic", "Messages that were there already."),
     "jumps_total": ("counter", "topic", "Jumps of a topic's time."),
     "evicted_total": ("counter", "topic", "Messages that left a buffer because of a bound."),
     "events_total": ("counter", "", "Edges that were dispatched."),
     "active_events": ("gauge", "rule", "Events that last."),
     "unreadable_total": ("counter", "", "Messages whose fields a rule could not read."),
-    "late_for_rules_total": ("counter", "", "Messages older than the last one that was evaluated."),
+    "unseen_total": ("counter", "reason", "Messages that rules read and did not see."),
+    "rule_apart_total": (
+        "counter",
+        "rule",
+        "Comparisons left out: agents heard of at once with stamps too far apart.",
+    ),
+    "rule_ignored_total": ("counter", "rule", "Messages of more agents than a rule looks at."),
+    "rules_wait_seconds": ("gauge", "", "How much later rules look at messages, since a source sends out of order."),
     "rule_suspended": ("gauge", "rule", "1 while a rule of kind cel or python is suspended."),
     "rule_dropped_total": ("counter", "rule", "Messages that a rule of kind cel or python was not evaluated for."),
     "reaction_delivered_total": ("counter", "reaction", "Edges that were delivered."),
@@ -99,11 +111,17 @@ class DetectorStatus:
             "now": self.clock_ns(),
             "settings": {"applied": detector.applied, "refused": refusal.error, "refusals": refusal.count},
             "buffer": {"bytes": detector.pool.bytes, "bytes_max": detector.settings.buffer_bytes},
-            "topics": detector.topics.document(),
+            "topics": {
+                name: {**topic, "unseen": dict(detector.unseen.of(name))}
+                for name, topic in detector.topics.document().items()
+            },
             "topic_problems": dict(detector.topics.problems),
             "rules": {
                 "names": [rule.name for rule in engine.rules],
                 "active": [{"id": e.id, "rule": e.rule, "agents": list(e.agents)} for e in engine.active],
+                "wait_seconds": detector.wait_ns / 1e9,
+                "unseen": dict(detector.unseen.totals),
+                "apart": apart_documents(engine)[:PROBLEMS_MAX],
                 "problems": [{"rule": r, "topic": t, "problem": text} for (r, t), text in problems],
                 "workers": {} if workers is None else workers.document(),
             },
@@ -129,14 +147,20 @@ class DetectorStatus:
                 lines += [f"# HELP {PREFIX}{name} {text}", f"# TYPE {PREFIX}{name} {kind}", *series]
         return "\n".join([*lines, *self._recordings()]) + "\n"
 
-    def _values(self) -> Iterator[tuple[str, str, int]]:
+    def _values(self) -> Iterator[tuple[str, str, float]]:
         detector = self.detector
         yield from (("info", state, int(state == detector.reached.state)) for state in STATES)
         yield "ready", "", int(not self.not_ready())
         yield "settings_refused", "", int(bool(self.refusal.error))
         yield "events_total", "", detector.dispatcher.dispatched
         yield "unreadable_total", "", sum(detector.engine.counts.malformed.copy().values())
-        yield "late_for_rules_total", "", detector.engine.counts.late
+        yield from (("unseen_total", reason, count) for reason, count in detector.unseen.totals.items())
+        yield from (("rule_apart_total", rule, apart.total) for rule, apart in detector.engine.apart.items())
+        yield from (("rule_ignored_total", rule, count) for rule, count in detector.engine.ignored.items())
+        yield "rules_wait_seconds", "", detector.wait_ns / 1e9
+        now = self.clock_ns()
+        states = Counter(source_state(topic, now) for topic in list(detector.topics.topics.values()))
+        yield from (("sources", state, states[state]) for state in SOURCE_STATES)
         for pattern, sums in self._topics().items():
             yield from ((name, pattern, value) for name, value in sums.items())
         active = [edge.rule for edge in detector.engine.active]
@@ -175,6 +199,16 @@ class DetectorStatus:
             yield f"robotkube_recorder_waiting_writes{{{label}}} {recordings.waiting}"
             for key, value in recordings.counts().items():
                 yield f"robotkube_recorder_{key}_total{{{label}}} {value}"
+
+
+def apart_documents(engine: RuleEngine) -> list[dict[str, Any]]:
+    """The pairs that rules did not compare, since their stamps were too far apart: rule, agents, how often, and the
+    seconds between the stamps at last."""
+    return [
+        {"rule": rule, "agents": list(agents), "count": count, "seconds": seconds}
+        for rule, apart in engine.apart.items()
+        for agents, (count, seconds) in sorted(apart.seconds().items())
+    ]
 
 
 def _escaped(text: str) -> str:

@@ -11,10 +11,13 @@ from robotkube.robots.detector.core.settings import TopicSettings
 from robotkube.robots.detector.loops.input_counters import InputCounter
 from robotkube.robots.ros.core.qos import IncompatiblePublishers, PublisherOffer, QosProfile, mismatch
 from robotkube.robots.ros.core.ring_buffers import RingBuffer
+from robotkube.robots.ros.core.source_clocks import AHEAD, BEHIND, DISORDERED, JUMPED, SILENT, STEADY
 
 if TYPE_CHECKING:
     from robotkube.robots.detector.ports import TopicInput
     from robotkube.robots.recording.loops.recordings import Recordings
+
+SOURCE_STATES = (STEADY, SILENT, AHEAD, BEHIND, JUMPED, DISORDERED)
 
 Stamp = Callable[[bytes], int]
 
@@ -46,11 +49,13 @@ class TopicSubscription:
     matched: int = 0
     incompatible: IncompatiblePublishers = field(default_factory=IncompatiblePublishers)
     evaluated: bool = False
+    lost_unseen: int = 0
     counted_before: _Counted = field(default_factory=_Counted)
     recordings: list[Recordings] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._continue_counting()
+        self.lost_unseen = self.counter.lost
 
     @property
     def last_message_at(self) -> int:
@@ -112,6 +117,12 @@ def topic_freshness(topic: TopicSubscription, last_message_at: int, now: int) ->
     return freshness({topic.name: last_message_at}, now, bounds)[topic.name]
 
 
+def source_state(topic: TopicSubscription, now: int) -> str:
+    """The state of the topic's time at `now` (ns), one of SOURCE_STATES."""
+    silent = not topic.settings.latched and topic_freshness(topic, topic.last_message_at, now) != FRESH
+    return topic.buffer.clock.state(now, silent)
+
+
 def topic_document(topic: TopicSubscription, now: int) -> dict[str, Any]:
     """The subscription as JSON values, as `/status` shows it."""
     counter = topic.counter
@@ -127,6 +138,8 @@ def topic_document(topic: TopicSubscription, now: int) -> dict[str, Any]:
         "incompatible": {"count": counter.incompatible, "policy": topic.incompatible.policy},
         "missed_deadlines": counter.missed_deadlines,
         "lost_liveliness": counter.lost_liveliness,
+        "state": source_state(topic, now),
+        "offset_seconds": topic.buffer.clock.offset_ns() / 1e9,
         "stale": not topic.settings.latched and topic_freshness(topic, topic.last_message_at, now) != FRESH,
         "received": counter.received,
         "malformed": counter.malformed,

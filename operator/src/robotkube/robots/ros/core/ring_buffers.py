@@ -13,43 +13,53 @@ from dataclasses import dataclass
 from heapq import heapify, heappop, heapreplace
 from operator import attrgetter
 from types import MappingProxyType
-from typing import NamedTuple
 
-KEPT, LATE, DUPLICATE, JUMPED = "kept", "late", "duplicate", "jumped"
-"""The outcomes of an insertion: kept; older (or wrongly newer) than the window; known already; time jumped."""
+from robotkube.robots.ros.core.source_clocks import (
+    AHEAD,
+    DISORDERED,
+    FOREVER_NS,
+    JUMP_KEEP,
+    JUMP_RESTART,
+    JUMPED,
+    LATE,
+    NEXT,
+    Sample,
+    SourceClock,
+)
+
+__all__ = [
+    "AHEAD",
+    "DISORDERED",
+    "DUPLICATE",
+    "JUMPED",
+    "JUMP_KEEP",
+    "JUMP_RESTART",
+    "KEPT",
+    "LATE",
+    "BufferBounds",
+    "BufferPool",
+    "RingBuffer",
+    "Sample",
+]  # fmt: skip
+
+KEPT, DUPLICATE = "kept", "duplicate"
+"""The outcomes of an insertion: KEPT as the newest, DISORDERED between older ones, or JUMPED. Not inserted are LATE,
+AHEAD and DUPLICATE, which was there already."""
 
 DUPLICATES_DROP, DUPLICATES_KEEP = "drop", "keep"
-JUMP_RESTART, JUMP_KEEP = "restart", "keep"
 
 COUNT_DEFAULT = 100_000
 DUPLICATES_COMPARED_MAX = 100
-OUTLIERS_MAX = 3
-"""Messages in a row, all far ahead or all far behind, that are a jump wherever they are."""
-BEHIND_COUNT = 10
-BEHIND_NS = 1_000_000_000
-"""Messages in a row, and the least time they span, all behind the newest: time went back by less than the window."""
 
 COUNTERS = (
-    "received", "late", "disordered", "duplicates", "jumps", "cleared",
+    "received", "late", "ahead", "disordered", "duplicates", "jumps", "cleared",
     "evicted_seconds", "evicted_bytes", "evicted_count", "evicted_process",
 )  # fmt: skip
 
-_FOREVER = 1 << 80
 _RELIEF_SHARE = 64
 _READS_MAX = 100
 
 _stamp = attrgetter("stamp")
-
-
-class Sample(NamedTuple):
-    """One message: when it was measured (header stamp, else reception) and received, ns since 1970, and its CDR bytes.
-
-    A named tuple, because it costs a quarter of a frozen dataclass and the garbage collector lets go of it.
-    """
-
-    stamp: int
-    received: int
-    data: bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,15 +97,15 @@ class _Budget:
 class RingBuffer:
     """The messages of one topic.
 
-    Counters, all of which only grow: `received` = kept + late + duplicates; of those kept, `disordered` came after a
-    newer one; `evicted_*` and `cleared` left because of age, bytes, count, the process's bytes or a jump; `jumps`.
-    A `latched` buffer has no window and no part in the process's bytes: its publishers send a message once.
+    Counters, all of which only grow: `received` = kept + late + ahead + duplicates; of those kept, `disordered` came
+    after a newer one; `evicted_*` and `cleared` left because of age, bytes, count, the process's bytes or a jump;
+    `jumps`. A `latched` buffer has no window and no part in the process's bytes: its publishers send a message once.
+    `judges`: False believes every stamp, since another clock has judged it.
     """
 
     __slots__ = (
-        *COUNTERS, "_ahead", "_behind_at", "_behind_count", "_behind_since", "_budget", "_bytes_max", "_count_max",
-        "_newest", "_newest_received", "_samples", "_suspect", "_suspect_at", "_suspects", "_window_ns", "bytes",
-        "duplicate_policy", "jump_policy", "latched",
+        *COUNTERS, "_budget", "_bytes_max", "_count_max", "_samples", "_window_ns", "bytes", "clock",
+        "duplicate_policy", "latched",
     )  # fmt: skip
 
     def __init__(
@@ -105,23 +115,18 @@ class RingBuffer:
         duplicates: str = DUPLICATES_DROP,
         jump: str = JUMP_RESTART,
         budget: _Budget | None = None,
+        judges: bool = True,
     ) -> None:
         self.latched = latched
         self.duplicate_policy = duplicates
-        self.jump_policy = jump
-        self._window_ns = _FOREVER if latched else int(bounds.seconds * 1e9)
+        self._window_ns = FOREVER_NS if latched else int(bounds.seconds * 1e9)
+        self.clock = SourceClock(self._window_ns, jump, judges and not latched)
         self._bytes_max = bounds.bytes
         self._count_max = bounds.count
-        self._budget = budget or _Budget(_FOREVER, [])
+        self._budget = budget or _Budget(FOREVER_NS, [])
         self._samples: deque[Sample] = deque()
-        self.bytes = self.received = self.late = self.disordered = self.duplicates = self.jumps = self.cleared = 0
-        self.evicted_seconds = self.evicted_bytes = self.evicted_count = self.evicted_process = 0
-        self._newest = -_FOREVER
-        self._ahead = _FOREVER
-        self._newest_received = 0
-        self._suspect = Sample(0, 0, b"")
-        self._suspects = 0
-        self._suspect_at = self._behind_at = self._behind_count = self._behind_since = -1
+        self.bytes = self.received = self.late = self.ahead = self.disordered = self.duplicates = self.jumps = 0
+        self.cleared = self.evicted_seconds = self.evicted_bytes = self.evicted_count = self.evicted_process = 0
 
     def __len__(self) -> int:
         return len(self._samples)
@@ -129,30 +134,31 @@ class RingBuffer:
     @property
     def kept(self) -> int:
         """The number of messages that were inserted."""
-        return self.received - self.late - self.duplicates
+        return self.received - self.late - self.ahead - self.duplicates
 
     def insert(self, sample: Sample) -> str:
-        """Insert a message; older ones leave as the bounds ask. Returns KEPT, LATE, DUPLICATE or JUMPED (inserted,
-        too)."""
+        """Insert a message; older ones leave as the bounds ask. Returns KEPT, DISORDERED or JUMPED, or else why it was
+        not inserted: LATE, AHEAD or DUPLICATE."""
         stamp, received, data = sample
         self.received += 1
         outcome = KEPT
         samples = self._samples
-        if self._newest < stamp <= self._ahead:
+        clock = self.clock
+        if clock.newest < stamp <= clock.limit:
             samples.append(sample)
-            self._newest = stamp
-            self._newest_received = received
-            self._ahead = stamp + self._window_ns
+            clock.newest = stamp
+            clock.newest_received = received
+            clock.limit = stamp + clock.window_ns
         else:
             outcome = self._place(sample)
-            if outcome is LATE or outcome is DUPLICATE:
+            if outcome is LATE or outcome is AHEAD or outcome is DUPLICATE:
                 return outcome
         size = len(data)
         budget = self._budget
         self.bytes += size
         budget.bytes += size
         if (
-            samples[0][0] < self._newest - self._window_ns  # the stamp; by its place it takes half as long
+            samples[0][0] < clock.newest - self._window_ns  # the stamp; by its place it takes half as long
             or self.bytes > self._bytes_max
             or len(samples) > self._count_max
         ):
@@ -190,23 +196,17 @@ class RingBuffer:
 
     def clear(self) -> None:
         """Drop all messages and forget the time; counters stay."""
-        self.cleared += len(self._samples)
-        self._samples.clear()
-        self._budget.bytes -= self.bytes
-        self.bytes = 0
-        self._newest = -_FOREVER
-        self._ahead = _FOREVER
+        self._drop_all()
+        self.clock.forget()
 
     def change_bounds(self, bounds: BufferBounds, latched: bool, duplicates: str, jump: str) -> None:
         """Change bounds and policies; what fits stays, the oldest messages leave."""
         self.latched = latched
         self.duplicate_policy = duplicates
-        self.jump_policy = jump
-        self._window_ns = _FOREVER if latched else int(bounds.seconds * 1e9)
+        self._window_ns = FOREVER_NS if latched else int(bounds.seconds * 1e9)
+        self.clock.change(self._window_ns, jump, not latched)
         self._bytes_max = bounds.bytes
         self._count_max = bounds.count
-        if self._newest > -_FOREVER:
-            self._ahead = self._newest + self._window_ns
         if self._samples:
             self._evict()
 
@@ -227,19 +227,22 @@ class RingBuffer:
         return held | {name: getattr(self, name) for name in COUNTERS}
 
     def _place(self, sample: Sample) -> str:
-        """Insert or drop a message that is not simply the next one."""
-        stamp = sample.stamp
-        if stamp > self._newest:
-            waited = sample.received - self._newest_received
-            if stamp - self._newest - waited <= self._window_ns:  # silence: the clock of reception went on as well
-                return self._append(sample)
-            return self._restart(sample) if self._again(sample) else self._drop_late()
-        if stamp < self._newest and self._runs_behind(sample) and self.jump_policy == JUMP_RESTART:
-            return self._restart(sample)
-        if stamp < self._newest - self._window_ns:
-            jumped = self._again(sample) and self.jump_policy == JUMP_RESTART
-            return self._restart(sample) if jumped else self._drop_late()
-        return self._put_between(sample)
+        """Insert or refuse a message that is not simply the next one."""
+        verdict = self.clock.judge(sample, self.received)
+        if verdict is NEXT:
+            self._samples.append(sample)
+            return KEPT
+        if verdict is JUMPED:
+            self.jumps += 1
+            self._drop_all()
+            self._samples.append(sample)
+        elif verdict is LATE:
+            self.late += 1
+        elif verdict is AHEAD:
+            self.ahead += 1
+        else:
+            return self._put_between(sample)
+        return verdict
 
     def _put_between(self, sample: Sample) -> str:
         samples = self._samples
@@ -254,59 +257,14 @@ class RingBuffer:
                     self.duplicates += 1
                     return DUPLICATE
         samples.insert(place, sample)
-        self.disordered += stamp < self._newest
-        return KEPT
-
-    def _append(self, sample: Sample) -> str:
-        self._samples.append(sample)
-        self._newest = sample.stamp
-        self._newest_received = sample.received
-        self._ahead = sample.stamp + self._window_ns
-        return KEPT
-
-    def _restart(self, sample: Sample) -> str:
-        self.clear()
-        self.jumps += 1
-        self._append(sample)
-        return JUMPED
-
-    def _drop_late(self) -> str:
-        self.late += 1
-        return LATE
-
-    def _again(self, sample: Sample) -> bool:
-        """True when the message before this one was far off in the same way: then neither is an outlier.
-
-        In the same way: near to this one, or as much earlier as it was received earlier; or several on one side.
-        """
-        before = self._suspect
-        in_a_row = self._suspect_at == self.received - 1
-        self._suspect = sample
-        self._suspect_at = self.received
-        apart = sample.stamp - before.stamp
-        waited = sample.received - before.received
-        if not in_a_row or (before.stamp > self._newest) != (sample.stamp > self._newest):
-            self._suspects = 1
-            return False
-        if not apart and before.data == sample.data:
-            return False
-        self._suspects += 1
-        alike = abs(apart) <= self._window_ns or abs(apart - waited) <= self._window_ns
-        return alike or self._suspects >= OUTLIERS_MAX
-
-    def _runs_behind(self, sample: Sample) -> bool:
-        """True when messages have been behind the newest for so long that it is not a matter of order any more."""
-        if self._behind_at != self.received - 1:
-            self._behind_since = sample.received
-            self._behind_count = 0
-        self._behind_at = self.received
-        self._behind_count += 1
-        lasted = sample.received - self._behind_since >= BEHIND_NS and self._behind_count >= BEHIND_COUNT
-        return lasted and not self.latched
+        if stamp == self.clock.newest:
+            return KEPT
+        self.disordered += 1
+        return DISORDERED
 
     def _evict(self) -> None:
         samples = self._samples
-        oldest = self._newest - self._window_ns
+        oldest = self.clock.newest - self._window_ns
         while samples[0][0] < oldest:
             self._drop()
             self.evicted_seconds += 1
@@ -316,6 +274,12 @@ class RingBuffer:
         while len(samples) > self._count_max:
             self._drop()
             self.evicted_count += 1
+
+    def _drop_all(self) -> None:
+        self.cleared += len(self._samples)
+        self._samples.clear()
+        self._budget.bytes -= self.bytes
+        self.bytes = 0
 
     def _drop(self) -> None:
         size = len(self._samples.popleft()[2])
@@ -372,7 +336,7 @@ class BufferPool:
         if latched != buffer.latched:
             others = [other for other in self._budget.buffers if other is not buffer]
             self._budget.buffers = others if latched else [*others, buffer]
-            buffer.share(_Budget(_FOREVER, []) if latched else self._budget)
+            buffer.share(_Budget(FOREVER_NS, []) if latched else self._budget)
         buffer.change_bounds(bounds, latched, duplicates, jump)
         if self._budget.bytes > self._budget.bytes_max:
             self._budget.relieve()

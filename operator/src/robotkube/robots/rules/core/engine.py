@@ -1,8 +1,9 @@
 """The rules of a detector at work: messages, time and answers in, edges out. No clock, no thread and no library.
 
-The time of the rules is the messages' own stamp, per topic: what is older than the topic's last message is not
-evaluated. When a topic is behind by more than JUMP_NS for JUMP_COUNT messages in a row, its agent's time has begun anew
-(a simulation or a bag started over). This machine's clock says only when to stop waiting for a message.
+The time of the rules is the messages' own stamp, per topic. Which stamps are believed, and when a topic's time has
+jumped, its clock says (`ros.core.source_clocks`), and `message_order` has put in order what comes here. What is older
+than the topic's last message is overlooked: it is a sign of life and no more. This machine's clock says only when to
+stop waiting for a message.
 """
 
 from __future__ import annotations
@@ -12,21 +13,25 @@ from dataclasses import dataclass, field, replace
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
-from robotkube.robots.rules.core.conditions.combinations import CombinationCondition
+from robotkube.robots.rules.core.combination_feed import NEVER as NEVER_DUE
+from robotkube.robots.rules.core.combination_feed import CombinationFeed, part_names
 from robotkube.robots.rules.core.conditions.external import AnsweredQuestion, AskRule, RuleQuestion
 from robotkube.robots.rules.core.conditions.levels import earliest
+from robotkube.robots.rules.core.conditions.pairs import ApartPairs
 from robotkube.robots.rules.core.evaluators import Evaluator
 from robotkube.robots.rules.core.events import STOP, Edge
-from robotkube.robots.rules.core.messages import Message, MessageValues
+from robotkube.robots.rules.core.messages import Message, MessageValues, NoNumberError
 from robotkube.robots.rules.core.specification.specifications import Combination, Rule, paths
+from robotkube.robots.rules.core.unseen import DISORDERED, NO_NUMBER, UNREADABLE, UnseenMessages
 
 if TYPE_CHECKING:
     from robotkube.robots.ros.core.cdr_readers.readers import FieldReader, Layouts
 
-JUMP_NS = 10_000_000_000
-JUMP_COUNT = 2
 TOPICS_MAX = 20_000
 PROBLEMS_MAX = 1000
+
+NEVER = -(1 << 63)
+"""The stamp before all others."""
 
 SelectValues = Callable[[tuple[Any, ...]], tuple[Any, ...]]
 
@@ -42,18 +47,15 @@ class _Route:
     type: str
     reader: FieldReader | None
     evaluators: list[tuple[Evaluator, SelectValues | None]]
-    stamp: int = -(1 << 63)
-    behind: int = 0
+    stamp: int = NEVER
 
 
 @dataclass
 class EngineCounts:
-    """Counts of messages that were not evaluated: older than the last one of their topic, or not readable as their
-    type."""
+    """Counts of messages that were not evaluated: those not readable as their type by topic, and all by the reason."""
 
-    late: int = 0
     malformed: dict[str, int] = field(default_factory=dict)
-    jumps: int = 0
+    unseen: UnseenMessages = field(default_factory=UnseenMessages)
 
 
 def _refuse(question: RuleQuestion) -> None:
@@ -64,18 +66,26 @@ class RuleEngine:
     """Evaluates `rules` for the detector of agent `own_agent`, who stands for topics that name no agent.
 
     `ask` gets the questions of rules that are evaluated elsewhere; it must not block. Their answers go to `answer`.
+    `unseen` counts the messages that no rule saw.
     """
 
-    def __init__(self, rules: Sequence[Rule], layouts: Layouts, own_agent: str, ask: AskRule = _refuse) -> None:
+    def __init__(
+        self,
+        rules: Sequence[Rule],
+        layouts: Layouts,
+        own_agent: str,
+        ask: AskRule = _refuse,
+        unseen: UnseenMessages | None = None,
+    ) -> None:
         self._layouts = layouts
         self._agent = own_agent
         self._ask = ask
         self._evaluators: dict[str, Evaluator] = {}
-        self._combinations: list[Evaluator] = []
+        self._feed = CombinationFeed()
         self._routes: dict[str, _Route] = {}
         self._unpropagated: list[tuple[Evaluator, Edge]] = []
         self._beginning = True
-        self.counts = EngineCounts()
+        self.counts = EngineCounts(unseen=unseen or UnseenMessages())
         self.problems: dict[tuple[str, str], str] = {}
         self._build(rules)
 
@@ -103,6 +113,17 @@ class RuleEngine:
                 fields_by_topic.setdefault(topic.text, {}).update(dict.fromkeys(paths(rule)))
         return {topic: tuple(fields) for topic, fields in fields_by_topic.items()}
 
+    @property
+    def apart(self) -> Mapping[str, ApartPairs]:
+        """Rule -> the pairs that it did not compare, since their stamps were too far apart; any thread may read it."""
+        pairs = {name: evaluator.condition.apart for name, evaluator in self._evaluators.copy().items()}
+        return {name: apart for name, apart in pairs.items() if apart is not None}
+
+    @property
+    def ignored(self) -> Mapping[str, int]:
+        """Rule -> messages of agents beyond the most that a rule looks at; any thread may read it."""
+        return {name: evaluator.ignored for name, evaluator in self._evaluators.copy().items()}
+
     def observe(self, message: Message) -> list[Edge]:
         """The edges that a message causes. A message that cannot be read is counted and changes nothing."""
         topic, type_name, stamp, received, _ = message
@@ -110,42 +131,68 @@ class RuleEngine:
         if route is None or route.type != type_name:
             route = self._route(message)
         begun = self._begin(stamp, received) if self._beginning and route.agent else []
+        if self._feed.due <= received:
+            begun += self.tick(received)
         if not route.evaluators:
             return begun
-        if stamp < route.stamp and not self._restarted(route, stamp):
-            self.counts.late += 1
+        if stamp < route.stamp:
+            self.counts.unseen.count(topic, DISORDERED)
+            self._overlook(route, received, stamp)
             return begun
         route.stamp = stamp
-        route.behind = 0
         edges = self._evaluated(route, message)
-        return begun + self._propagated(edges) if edges else begun
+        return begun + self._propagated(edges, received) if edges or self._feed.due < NEVER_DUE else begun
+
+    def overlook(self, topic: str, received: int) -> None:
+        """Note that a message of a topic has come whose stamp is not to be believed: a sign of life."""
+        route = self._routes.get(topic)
+        if route is not None:
+            self._overlook(route, received, None)
+
+    def restart(self, topic: str, stamp: int) -> None:
+        """Begin the time of a topic, and of its agent, anew at `stamp`."""
+        route = self._routes.get(topic)
+        if route is None:
+            return
+        route.stamp = NEVER
+        for evaluator, _ in route.evaluators:
+            evaluator.restart(route.agent, stamp)
 
     def answer(self, answered: AnsweredQuestion) -> list[Edge]:
         """The edges that answers from elsewhere cause; those of rules that are gone cause none."""
         evaluator = self._evaluators.get(answered.question.rule)
-        return [] if evaluator is None else self._propagated(evaluator.answer(answered))
+        if evaluator is None:
+            return []
+        return self._propagated(evaluator.answer(answered), answered.question.received)
 
     def tick(self, now: int) -> list[Edge]:
         """The edges that the time alone causes, up to `now` on this machine's clock (ns since 1970)."""
         edges = self._begin(now, now) if self._beginning else []
-        for evaluator in self._evaluators.values():
-            due = evaluator.due()
-            if due is not None and due <= now:
-                edges += self._propagated(evaluator.elapse(now))
+        combinations = self._feed.combinations
+        told = [edge for e in self._evaluators.values() if e not in combinations for edge in _elapsed(e, now)]
+        edges += self._propagated(told, now)
+        for evaluator in combinations:
+            if not self._feed.waits(evaluator) and (told := _elapsed(evaluator, now)):
+                edges += self._propagated(told, now)
         return edges
+
+    def settle(self) -> list[Edge]:
+        """The edges of combinations that wait for what their parts may still tell, when nothing comes any more."""
+        return self._audible(self._feed.release())
 
     def due(self) -> int | None:
         """The next moment at which `tick` may give edges; None without one."""
         if self._beginning:
             return 0
-        return earliest([evaluator.due() for evaluator in self._evaluators.values()])
+        moments = [evaluator.due() for evaluator in self._evaluators.values()]
+        return earliest([*moments, self._feed.due if self._feed.due < NEVER_DUE else None])
 
     def adopt(self, edge: Edge) -> bool:
         """Take over an event that began earlier; False when no rule can have it, or has it already."""
         evaluator = self._evaluators.get(edge.rule)
         if evaluator is None or not evaluator.adopt(edge):
             return False
-        self._queue_active_events(evaluator, self._combinations)
+        self._queue_active_events(evaluator, self._feed.combinations)
         return True
 
     def replace(self, rules: Sequence[Rule], now: int) -> tuple[list[Edge], list[Edge]]:
@@ -178,14 +225,10 @@ class RuleEngine:
             else:
                 self._evaluators[rule.name] = Evaluator(rule, by_name, self._agent, self._ask)
         new = [evaluator for name, evaluator in self._evaluators.items() if before.get(name) is not evaluator]
-        self._combinations = [
-            evaluator
-            for evaluator in self._evaluators.values()
-            if isinstance(evaluator.condition, CombinationCondition)
-        ]
+        self._feed.bind(self._evaluators)
         self._unpropagated = []
         for evaluator in self._evaluators.values():
-            self._queue_active_events(evaluator, [other for other in new if other in self._combinations])
+            self._queue_active_events(evaluator, [other for other in new if other in self._feed.combinations])
         self._routes.clear()
         self.problems.clear()
         self._beginning = True
@@ -197,7 +240,7 @@ class RuleEngine:
     def _queue_active_events(self, evaluator: Evaluator, combinations: Iterable[Evaluator]) -> None:
         """Queue the events that last already for combinations that follow them, until all of them are known."""
         for other in combinations:
-            if isinstance(other.condition, CombinationCondition) and evaluator.rule.name in other.condition.names:
+            if evaluator.rule.name in part_names(other):
                 self._unpropagated += [(other, edge) for edge in evaluator.events.active]
         self._beginning = True
 
@@ -210,7 +253,7 @@ class RuleEngine:
             edges += evaluator.follow([edge])
         for evaluator in self._evaluators.values():
             edges += evaluator.begin(stamp, received)
-        return self._propagated(edges)
+        return self._propagated(edges, received)
 
     # messages --------------------------------------------------------------------------------------------------------
 
@@ -246,28 +289,21 @@ class RuleEngine:
             return False
         return True
 
-    def _restarted(self, route: _Route, stamp: int) -> bool:
-        """True when the topic's time has begun anew."""
-        if stamp >= route.stamp - JUMP_NS:
-            route.behind = 0
-            return False
-        route.behind += 1
-        if route.behind < JUMP_COUNT:
-            return False
-        self.counts.jumps += 1
+    @staticmethod
+    def _overlook(route: _Route, received: int, stamp: int | None) -> None:
         for evaluator, _ in route.evaluators:
-            evaluator.restart(route.agent, stamp)
-        return True
+            evaluator.overlook(route.agent, received, stamp)
 
     def _evaluated(self, route: _Route, message: Message) -> list[Edge]:
         topic, type_name, stamp, received, data = message
         values: tuple[Any, ...] | None = ()
+        readable = number = True
         if route.reader is not None:
             try:
                 values = route.reader(data)
             except ValueError:
                 values = None
-                self._malformed(topic)
+                readable = False
         edges: list[Edge] = []
         for evaluator, select in route.evaluators:
             if select is not None and values is None:
@@ -277,25 +313,30 @@ class RuleEngine:
             reading = _new(MessageValues, (topic, route.agent, stamp, received, selected, type_name, data))
             try:
                 evaluator.observe(reading, edges)
+            except NoNumberError:
+                number = False
             except ValueError as error:
-                self._malformed(topic)
+                readable = False
                 if len(self.problems) < PROBLEMS_MAX:
                     self.problems[evaluator.rule.name, topic] = str(error)
+        if not readable:
+            self.counts.malformed[topic] = self.counts.malformed.get(topic, 0) + 1
+            self.counts.unseen.count(topic, UNREADABLE)
+        elif not number:
+            self.counts.unseen.count(topic, NO_NUMBER)
         return edges
 
-    def _malformed(self, topic: str) -> None:
-        self.counts.malformed[topic] = self.counts.malformed.get(topic, 0) + 1
-
-    def _propagated(self, edges: list[Edge]) -> list[Edge]:
+    def _propagated(self, edges: list[Edge], now: int) -> list[Edge]:
         """The edges with those of the combinations that follow them, without those of silent rules."""
-        if not edges:
-            return edges
-        for evaluator in self._combinations:  # parts come before the combinations of them
-            condition = evaluator.condition
-            assert isinstance(condition, CombinationCondition)
-            if followed := [edge for edge in edges if edge.rule in condition.names]:
-                edges += evaluator.follow(followed)
+        return self._audible(self._feed.pass_on(edges, now)) if edges or self._feed.due < NEVER_DUE else edges
+
+    def _audible(self, edges: Iterable[Edge]) -> list[Edge]:
         return [edge for edge in edges if not self._evaluators[edge.rule].rule.silent]
+
+
+def _elapsed(evaluator: Evaluator, now: int) -> list[Edge]:
+    due = evaluator.due()
+    return evaluator.elapse(now) if due is not None and due <= now else []
 
 
 def _selection(together: Sequence[str], wanted: Sequence[str]) -> SelectValues | None:

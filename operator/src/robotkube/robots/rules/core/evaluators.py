@@ -23,7 +23,16 @@ from robotkube.robots.rules.core.conditions.proximity import ProximityCondition
 from robotkube.robots.rules.core.conditions.rates import AbsenceCondition, RateCondition
 from robotkube.robots.rules.core.event_tracking import EventTracker
 from robotkube.robots.rules.core.events import Edge
-from robotkube.robots.rules.core.messages import FALL, KEEP, RISE, Agents, Member, MemberChange, MessageValues
+from robotkube.robots.rules.core.messages import (
+    FALL,
+    KEEP,
+    RISE,
+    Agents,
+    Member,
+    MemberChange,
+    MessageValues,
+    NoNumberError,
+)
 from robotkube.robots.rules.core.specification.specifications import (
     GROUP,
     Absence,
@@ -109,7 +118,8 @@ class Evaluator:
         return []
 
     def observe(self, reading: MessageValues, edges: list[Edge]) -> None:
-        """Add the edges that a message causes to `edges`; ValueError when its fields are not what the rule compares.
+        """Add the edges that a message causes to `edges`; ValueError when its fields are not what the rule compares,
+        NoNumberError when they are no numbers this time.
 
         Edges that its arrival alone causes are added before."""
         _, agent, stamp, received, _, _, _ = reading
@@ -129,11 +139,26 @@ class Evaluator:
             self._seen[agent] = stamp, received
         if self._every_ns and self._repeated(agent, stamp):
             return
-        changes = self.condition.observe(reading)
+        no_number: NoNumberError | None = None
+        try:
+            changes = self.condition.observe(reading)
+        except NoNumberError as error:  # the time goes on all the same
+            changes = ()
+            no_number = error
         if changes:
             edges += self._apply(changes)
         if self.events.pending:
             edges += self._mature(agent, stamp, received)
+        if no_number is not None:
+            raise no_number
+
+    def overlook(self, agent: str, received: int, stamp: int | None) -> None:
+        """Note a sign of life of an agent: a message that is not evaluated, since it is older than the last one; of one
+        whose `stamp` is not to be believed it is None."""
+        last = self._seen.get(agent)
+        if last is not None:
+            self._seen[agent] = last[0], received
+        self.condition.overlook((agent,), received, stamp)
 
     def answer(self, answered: AnsweredQuestion) -> list[Edge]:
         """The edges that the answers to a question cause."""
@@ -185,6 +210,10 @@ class Evaluator:
             return 0
         return earliest((self._silences.due(), self.condition.due(), self.events.due()))
 
+    def in_doubt(self, stamp: int) -> bool:
+        """True when the time alone may still show an edge at `stamp` or before it."""
+        return self.condition.in_doubt(stamp) or self.events.in_doubt(stamp) or self._expires(stamp)
+
     def adopt(self, edge: Edge) -> bool:
         """Take over an event that began earlier; False when the rule cannot have it or has it already."""
         agents = self.events.adopt(edge)
@@ -235,6 +264,13 @@ class Evaluator:
             return []
         ordered = sorted(gone, key=lambda agent: (self._seen[agent][0], agent))
         return [edge for agent in ordered for edge in self._expire(agent, received)]
+
+    def _expires(self, stamp: int) -> bool:
+        """True when an agent for which it holds has been silent for too long at `stamp`."""
+        if not self._expire_ns:
+            return False
+        ends = (self._end((agent,)) for member in self.condition.holding for agent in member)
+        return any(end is not None and end <= stamp for end in ends)
 
     def _expire(self, agent: str, now: int) -> list[Edge]:
         gone = sorted(member for member in self.condition.holding if agent in member)

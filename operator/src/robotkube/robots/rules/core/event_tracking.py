@@ -123,6 +123,10 @@ class EventTracker:
             return min(until or 0 for until in self._adopted.values())
         return self._timers.due()
 
+    def in_doubt(self, stamp: int) -> bool:
+        """True when an event may still begin at `stamp` or before it."""
+        return any(self._beginning(self._states[agents]) <= stamp for agents in self.pending)
+
     def restart(self, agent: str, stamp: int) -> None:
         """Begin an agent's time anew at `stamp`: its events forget the old time."""
         for states in (self._states, self._idle):

@@ -15,6 +15,10 @@ Member = Agents
 """The agents that a condition is about: one, or two in alphabetical order."""
 
 
+class NoNumberError(ValueError):
+    """A number that is compared is none, as a sensor says that it knows nothing: the message changes nothing."""
+
+
 class Message(NamedTuple):
     """One message as it came; `stamp` is the rules' time, `received` this machine's, ns since 1970."""
 

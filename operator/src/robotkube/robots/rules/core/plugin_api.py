@@ -81,7 +81,9 @@ class PluginHost:
         if buffer is None:
             if len(self._buffers) >= BUFFERS_MAX:
                 del self._buffers[min(self._buffers, key=self._last_received)]
-            buffer = self._buffers[question.topic] = RingBuffer(self._bounds)
+            buffer = self._buffers[question.topic] = RingBuffer(self._bounds, judges=False)
+        if question.stamp < buffer.clock.newest:  # the topic's time has begun anew: otherwise questions are in order
+            buffer.clear()
         buffer.insert(Sample(question.stamp, question.received, question.data))
         if not question.evaluate:
             return []

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from robotkube.robots.rules.core.conditions.levels import RuleCondition
+from robotkube.robots.rules.core.conditions.pairs import ApartPairs
 from robotkube.robots.rules.core.events import NOTHING, Cause
 from robotkube.robots.rules.core.messages import Member, MemberChange, MessageValues, pair
 from robotkube.robots.rules.core.specification.specifications import PAIR, Cel, Rule
@@ -71,6 +72,7 @@ class ExpressionCondition(RuleCondition):
         self._names = tuple(settings.fields)
         self._latest: dict[str, MessageValues] = {}
         self._stale_ns = int(settings.stale_seconds * 1e9)
+        self.apart: ApartPairs = ApartPairs(self._stale_ns)
 
     def observe(self, reading: MessageValues) -> Sequence[MemberChange]:
         """Send a question for each member that the message concerns."""
@@ -80,11 +82,16 @@ class ExpressionCondition(RuleCondition):
             return ()
         self._latest[reading.agent] = reading
         for other, latest in self._latest.items():
-            if other != reading.agent and abs(latest.stamp - reading.stamp) <= self._stale_ns:
-                member = pair(reading.agent, other)
-                a, b = (self._latest[agent] for agent in member)
-                values = {"a": {**self._named(a), "agent": a.agent}, "b": {**self._named(b), "agent": b.agent}}
-                self._ask_about(member, reading, values)
+            if other == reading.agent:
+                continue
+            if abs(latest.stamp - reading.stamp) > self._stale_ns:
+                mine = reading.agent, reading.stamp, reading.received
+                self.apart.note(*mine, other, latest.stamp, latest.received)
+                continue
+            member = pair(reading.agent, other)
+            a, b = (self._latest[agent] for agent in member)
+            values = {"a": {**self._named(a), "agent": a.agent}, "b": {**self._named(b), "agent": b.agent}}
+            self._ask_about(member, reading, values)
         return ()
 
     def forget(self, agent: str) -> None:

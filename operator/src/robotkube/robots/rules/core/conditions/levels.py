@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from heapq import heappop, heappush
+from math import isfinite
 
+from robotkube.robots.rules.core.conditions.pairs import ApartPairs
 from robotkube.robots.rules.core.events import Cause
-from robotkube.robots.rules.core.messages import FALL, KEEP, RISE, Member, MemberChange, MessageValues
+from robotkube.robots.rules.core.messages import FALL, KEEP, RISE, Member, MemberChange, MessageValues, NoNumberError
 from robotkube.robots.rules.core.specification.areas import Area
 from robotkube.robots.rules.core.specification.specifications import Geofence, Level, Threshold
 
@@ -66,14 +68,17 @@ class Timers:
 
 class RuleCondition:
     """The base of all conditions, of which only messages change the state. `paired`: agent -> the agents it holds
-    with."""
+    with; `apart`: the pairs that it does not compare, where it compares pairs."""
+
+    apart: ApartPairs | None = None
 
     def __init__(self) -> None:
         self.holding: set[Member] = set()
         self.paired: dict[str, dict[str, None]] = {}
 
     def observe(self, reading: MessageValues) -> Sequence[MemberChange]:
-        """The changes of a message; ValueError when its fields are not what the condition compares."""
+        """The changes of a message; ValueError when its fields are not what the condition compares, NoNumberError when
+        they are no numbers this time."""
         raise NotImplementedError
 
     def elapse(self, now: int) -> Sequence[MemberChange]:
@@ -83,6 +88,14 @@ class RuleCondition:
     def due(self) -> int | None:
         """The next moment at which `elapse` may give changes; None without one."""
         return None
+
+    def overlook(self, member: Member, received: int, stamp: int | None) -> None:
+        """Note that a message has come which is not evaluated: one that is older than the last one, or whose `stamp` is
+        not to be believed (None)."""
+
+    def in_doubt(self, stamp: int) -> bool:
+        """True when the time may still show a change at `stamp` or before it."""
+        return False
 
     def forget(self, agent: str) -> None:
         """Forget an agent that has fallen silent or whose time has begun anew."""
@@ -131,6 +144,8 @@ class ThresholdCondition(RuleCondition):
         (value,) = reading.values
         if not isinstance(value, (int, float)):
             raise ValueError(f"{self._field} is no number")
+        if value != value:
+            raise NoNumberError(f"{self._field} is NaN")
         verdict = beyond(self._level, value)
         member = (reading.agent,)
         if verdict == KEEP or (verdict == RISE) == (member in self.holding):
@@ -150,8 +165,10 @@ class GeofenceCondition(RuleCondition):
     def observe(self, reading: MessageValues) -> Sequence[MemberChange]:
         """See the base."""
         x, y = reading.values
-        if not isinstance(x, (int, float)) or not isinstance(y, (int, float)) or x != x or y != y:
+        if not isinstance(x, (int, float)) or not isinstance(y, (int, float)):
             raise ValueError(f"{self._settings.x} and {self._settings.y} are no numbers")
+        if not isfinite(x) or not isfinite(y):
+            raise NoNumberError(f"{self._settings.x} and {self._settings.y} are no position")
         member = (reading.agent,)
         begun = member in self.holding
         verdict = RISE if self._area.contains(x, y) == self._settings.inside else FALL

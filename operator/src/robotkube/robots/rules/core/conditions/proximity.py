@@ -9,8 +9,9 @@ from math import floor
 from operator import attrgetter
 
 from robotkube.robots.rules.core.conditions.levels import RuleCondition
+from robotkube.robots.rules.core.conditions.pairs import ApartPairs
 from robotkube.robots.rules.core.events import Cause
-from robotkube.robots.rules.core.messages import FALL, RISE, MemberChange, MessageValues, pair
+from robotkube.robots.rules.core.messages import FALL, RISE, MemberChange, MessageValues, NoNumberError, pair
 from robotkube.robots.rules.core.specification.specifications import Proximity
 
 POSITION_MAX = 1e12
@@ -27,6 +28,7 @@ class _Place:
 
     agent: str
     stamp: int
+    received: int
     x: float
     y: float
     z: float
@@ -51,6 +53,7 @@ class ProximityCondition(RuleCondition):
         self._width = settings.start_distance_m
         self._start_squared = settings.start_distance_m**2
         self._stop_squared = settings.stop_distance_m**2
+        self.apart: ApartPairs = ApartPairs(self._stale_ns)
         self._places: dict[str, _Place] = {}
         self._around: dict[Cell, dict[str, _Place]] = {}
 
@@ -63,7 +66,9 @@ class ProximityCondition(RuleCondition):
         if self.paired:
             for agent in self.partners(place.agent):
                 known = self._places.get(agent)
-                if known is not None and self._comparable(place, known) and _squared(place, known) > self._stop_squared:
+                if known is None:
+                    continue
+                if self._comparable(place, known) and _squared(place, known) > self._stop_squared:
                     changes.append(self._member_change(reading, place, known, FALL))
         return changes
 
@@ -84,22 +89,23 @@ class ProximityCondition(RuleCondition):
             across, along, up = x - other.x, y - other.y, z - other.z
             if across * across + along * along + up * up >= limit or other is place:
                 continue
-            if self._comparable(place, other) and pair(place.agent, other.agent) not in holding:
+            if pair(place.agent, other.agent) not in holding and self._comparable(place, other):
                 near.append(other)
         return sorted(near, key=_name) if len(near) > 1 else near
 
     def _put(self, reading: MessageValues) -> _Place:
-        topic, agent, stamp, _, (x, y, z), _, _ = reading
+        topic, agent, stamp, received, (x, y, z), _, _ = reading
         most = POSITION_MAX
         if not (-most <= x <= most and -most <= y <= most and -most <= z <= most):
-            raise ValueError(f"{self._settings.position} is no position")
+            raise NoNumberError(f"{self._settings.position} is no position")
         cell = floor(x / self._width), floor(y / self._width)
         place = self._places.get(agent)
         if place is None:
-            place = self._places[agent] = _Place(agent, stamp, x, y, z, topic, cell, {})
+            place = self._places[agent] = _Place(agent, stamp, received, x, y, z, topic, cell, {})
             self._enter(place)
         else:
             place.stamp = stamp
+            place.received = received
             place.x = x
             place.y = y
             place.z = z
@@ -123,7 +129,10 @@ class ProximityCondition(RuleCondition):
                 del self._around[cell]
 
     def _comparable(self, place: _Place, other: _Place) -> bool:
-        return abs(place.stamp - other.stamp) <= self._stale_ns
+        if abs(place.stamp - other.stamp) <= self._stale_ns:
+            return True
+        self.apart.note(place.agent, place.stamp, place.received, other.agent, other.stamp, other.received)
+        return False
 
     def _member_change(self, reading: MessageValues, mine: _Place, theirs: _Place, verdict: int) -> MemberChange:
         distance = math.sqrt(_squared(mine, theirs))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from math import inf
 
 from robotkube.robots.rules.core.conditions.levels import GRACE_NS, RuleCondition, Timers, beyond
 from robotkube.robots.rules.core.events import Cause
@@ -59,6 +61,16 @@ class RateCondition(RuleCondition):
             self._timers.watch(member, moment)
         return changes
 
+    def overlook(self, member: Member, received: int, stamp: int | None) -> None:
+        """Count a message that has come late, where it belongs; one without a credible stamp beside the last one."""
+        known = self._arrivals.get(member)
+        if known is None:
+            return
+        known.received = received
+        moment = known.last if stamp is None else stamp
+        if known.last - self._window_ns < moment and len(known.stamps) < COUNTED_MAX:
+            known.stamps.insert(bisect_right(known.stamps, moment), moment)
+
     def elapse(self, now: int) -> Sequence[MemberChange]:
         """See the base."""
         changes: list[MemberChange] = []
@@ -74,9 +86,24 @@ class RateCondition(RuleCondition):
         """See the base."""
         return self._timers.due()
 
+    def in_doubt(self, stamp: int) -> bool:
+        """See the base: enough messages have left the window, and none has come since."""
+        return any(self._turns(member, known) <= stamp for member, known in self._arrivals.items() if known.stamps)
+
     def forget(self, agent: str) -> None:
         """See the base."""
         self._arrivals.pop((agent,), None)
+
+    def _turns(self, member: Member, known: _Arrivals) -> float:
+        """The stamp at which the rate changes what it says when no more messages come."""
+        if self._level.above == (member not in self.holding):
+            return inf
+        bound = self._level.stop if self._level.above else self._level.start
+        most = len(known.stamps) - 1
+        while most > 0 and most / self._window >= bound:
+            most -= 1
+        last_to_leave = known.stamps[len(known.stamps) - 1 - most]
+        return last_to_leave + self._window_ns
 
     def _leaving(self, member: Member, known: _Arrivals, stamp: int, received: int) -> Iterator[MemberChange]:
         """The changes while messages leave the window, up to `stamp`."""
@@ -134,6 +161,12 @@ class AbsenceCondition(RuleCondition):
         self._wait(member, reading.stamp, reading.received)
         return changes
 
+    def overlook(self, member: Member, received: int, stamp: int | None) -> None:
+        """Wait from now on: the message is measured as much later than the last one as it was received later."""
+        last = self._last.get(member)
+        if last is not None and received > last[1]:
+            self._last[member] = last[0] + received - last[1], received
+
     def elapse(self, now: int) -> Sequence[MemberChange]:
         """See the base."""
         return [
@@ -144,6 +177,12 @@ class AbsenceCondition(RuleCondition):
     def due(self) -> int | None:
         """See the base."""
         return self._timers.due()
+
+    def in_doubt(self, stamp: int) -> bool:
+        """See the base."""
+        return any(
+            last + self._bound_ns <= stamp and member not in self.holding for member, (last, _) in self._last.items()
+        )
 
     def forget(self, agent: str) -> None:
         """See the base."""
