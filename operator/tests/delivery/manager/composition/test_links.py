@@ -9,6 +9,7 @@ import pytest
 
 from robotkube.delivery.manager.core.composition.composer import Composition, Demand, Inputs, Met, Refused, compose
 from robotkube.delivery.manager.core.placement.placement import Agent, NodeState, fleet
+from robotkube.delivery.tasks.core.task_description import TaskPlacement
 from robotkube.foundation.documents.adapters.json_schema import validate
 from robotkube.robots.bridge.core.rights import IN, OUT, may
 from tests.stages.delivery.placement import RENDER, application, catalogue, demand, task
@@ -190,3 +191,68 @@ def test_without_a_variable_in_common_everything_is_linked() -> None:
         "vehicle-00": (["/vehicles/vehicle_00/status"], []),
         "cloud-0": ([], ["/vehicles/vehicle_00/status"]),
     }
+
+
+# -- placement --------------------------------------------------------------------------------------------------------
+
+ANYWHERE: dict[str, Any] = {"name": "watch", "release": "watch", "placement": {"capabilities": ["gpu"]}}
+
+
+def watching(*links: Mapping[str, Any], able: Sequence[str], **placement: Any) -> Composition:
+    """A service that may run on any of the able agents, with these links."""
+    known = catalogue(application(ANYWHERE, links=links), BRIDGE)
+    capable = {name: frozenset({"gpu"}) for name in able}
+    nodes = [NodeState(a.name, a.name, a.role, capable.get(a.name, frozenset()), True) for a in AGENTS]
+    asked = demand(task(placement=TaskPlacement(**placement)))
+    return compose([asked], Inputs(known, fleet(AGENTS, nodes), {}, RENDER, validate))
+
+
+def where(composition: Composition) -> str:
+    assert all(isinstance(outcome, Met) for outcome in composition.outcomes.values()), composition.outcomes
+    (release,) = (one for one in composition.releases.values() if one.name == "watch")
+    return release.namespace
+
+
+def test_a_service_goes_where_its_links_pass() -> None:
+    """By the number of releases and by name, the first of them would be taken."""
+    clouds = link(VEHICLE, {"service": "watch"}, POSE)
+    everywhere = [name for name, _ in NAMES]
+    assert where(watching(clouds, able=["vehicle-01", "roadside-0", "cloud-1"])) == "cloud-1"
+    assert where(watching(clouds, able=["vehicle-00", "vehicle-01"])) == "vehicle-00"
+    assert where(watching(clouds, able=everywhere)) == "cloud-0"
+    results = link({"service": "watch"}, {"role": "cloud"}, "/vehicles/roadside_0/objects")
+    assert where(watching(results, able=["roadside-0", "vehicle-00", "vehicle-01"])) == "roadside-0"
+    answers = link({"service": "watch"}, {"role": "roadside"}, "/answers")
+    assert where(watching(answers, able=["roadside-0", "cloud-0"])) == "roadside-0"
+
+
+def test_the_reasons_name_who_may_not() -> None:
+    clouds = link(VEHICLE, {"service": "watch"}, POSE)
+    (outcome,) = watching(clouds, able=["cloud-1", "roadside-0"]).outcomes.values()
+    assert isinstance(outcome, Met)
+    assert f"roadside-0: may not read {POSE} at the broker" in outcome.choices
+
+
+def test_where_no_agent_may_the_link_is_refused() -> None:
+    clouds = link(VEHICLE, {"service": "watch"}, POSE)
+    for composition in (
+        watching(clouds, able=["vehicle-01", "roadside-0"]),
+        watching(clouds, able=["roadside-0", "cloud-0"], roles=("roadside",)),
+    ):
+        refusal = refused(composition)
+        assert refusal.reason == "LinkNotPermitted"
+        assert "may not read it at the broker" in refusal.message
+
+
+def test_a_place_that_the_link_needs_but_that_is_away_is_waited_for() -> None:
+    """Not another one, where the link would be refused."""
+    known = catalogue(application(ANYWHERE, links=[link(VEHICLE, {"service": "watch"}, POSE)]), BRIDGE)
+    able = {"roadside-0", "cloud-0"}
+    nodes = [
+        NodeState(a.name, a.name, a.role, frozenset({"gpu"} if a.name in able else ()), a.name != "cloud-0")
+        for a in AGENTS
+    ]
+    refusal = refused(compose([demand(task())], Inputs(known, fleet(AGENTS, nodes), {}, RENDER, validate)))
+    assert refusal.reason == "NoCapableNode"
+    assert "cloud-0: no Node is Ready" in refusal.message
+    assert "roadside-0: may not read" in refusal.message

@@ -81,7 +81,7 @@ class Assignments:
             self.occupancy,
             group.need,
             {agent: _rest(names, group, there) for agent, there in shared.items()},
-            {**self._avoided(demand, group, names), **self._beside(names, index.fleet)},
+            {**self._avoided(demand, group, names), **self._beside(names, index.fleet), **index.forbidden(group)},
             waits=demand.task is None or demand.task.conflict_policy != OFFLOAD,
         )
         placement = place(group, around, self._kept(demand, group, names, index))

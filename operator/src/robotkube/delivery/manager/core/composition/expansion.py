@@ -15,7 +15,7 @@ from robotkube.delivery.manager.core.composition.assignments import Assignments
 from robotkube.delivery.manager.core.composition.co_location import Instance, groups, instances
 from robotkube.delivery.manager.core.composition.index import Index, Lookup
 from robotkube.delivery.manager.core.composition.inputs import Demand
-from robotkube.delivery.manager.core.composition.links import PlacedInstance, passages
+from robotkube.delivery.manager.core.composition.links import PlacedInstance, needs, passages
 from robotkube.delivery.manager.core.composition.selection import Chosen
 from robotkube.delivery.manager.core.composition.topic_merge import MergedTopics
 from robotkube.delivery.manager.core.placement.capacity import read_resources
@@ -92,7 +92,8 @@ class _Expander:
         choice = index.selector.application(demand, kept)
         cause = replace(demand.task.cause, application=choice.application.name) if demand.task else None
         self._expansion = Expansion(demand, choice.application.name, cause, choice_parts=[choice.reasons])
-        names = _names(demand, choice.parameters, self._placements)
+        names = self._given = _names(demand, choice.parameters, self._placements)
+        self._links = choice.application.links
         placed = self._add_services(choice.application, names)
         for link in choice.application.links:
             if link.kind != "ros":
@@ -151,8 +152,9 @@ class _Expander:
         chart = chosen[0]
         apart = f"{self._expansion.application}/{service.name}" if service.placement.spread else ""
         need = read_resources(chart.resources)
+        wanted = () if agent is not None else tuple(needs(self._links, instance, self._given, self._render))
         return chosen, PlacementRequest(
-            service.name, service.placement, agent, kept, need, chart.platforms, apart, bool(service.unite)
+            service.name, service.placement, agent, kept, need, chart.platforms, apart, bool(service.unite), wanted
         )
 
     def _lookup(self, lookup: Lookup) -> Any:

@@ -12,7 +12,8 @@ from robotkube.delivery.deployment.core.releases import Release
 from robotkube.delivery.manager.core.composition.inputs import Demand, Inputs
 from robotkube.delivery.manager.core.composition.selection import Chosen, Selector
 from robotkube.delivery.manager.core.placement.capacity import NOTHING, Occupancy, Resources, read_resources
-from robotkube.delivery.manager.core.placement.placement import Fleet, NodeState
+from robotkube.delivery.manager.core.placement.link_needs import LinkNeed, forbidden
+from robotkube.delivery.manager.core.placement.placement import AgentCriteria, Fleet, Group, NodeState
 from robotkube.foundation.documents.core.value_templates import Render
 from robotkube.registry.catalogue.core.applications import Service
 from robotkube.registry.catalogue.core.catalogue import Catalogue, Pin
@@ -36,6 +37,7 @@ class Index:
         self.others: Mapping[str, Release] = dict(inputs.others)
         self._places: dict[tuple[str, str], frozenset[str]] = {}
         self._bridges: dict[str, tuple[Service, Chosen]] = {}
+        self._forbidden: dict[tuple[AgentCriteria, tuple[LinkNeed, ...]], Mapping[str, str]] = {}
 
     def same(self, other: Index) -> bool:
         """Whether both answer everything alike."""
@@ -91,6 +93,18 @@ class Index:
         if kind not in self._bridges:
             self._bridges[kind] = self.selector.bridge(kind)
         return self._bridges[kind]
+
+    def forbidden(self, group: Group) -> Mapping[str, str]:
+        """Candidates for a group on which the broker would refuse one of its links, with why."""
+        needs = tuple(need for request in group.requests for need in request.links)
+        if not needs or group.wanted.named:
+            return {}
+        key = (group.wanted, needs)
+        if key not in self._forbidden:
+            candidates = self.fleet.candidates(group.wanted)
+            able = [a for a in candidates.agents if a.place in candidates.stay or a.place in candidates.lost]
+            self._forbidden[key] = forbidden(needs, able)
+        return self._forbidden[key]
 
     def runs(self, place: str, chart: str) -> bool:
         """Whether a release of that chart is on the place already."""

@@ -12,11 +12,13 @@ from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
 
+from robotkube.delivery.manager.core.composition.co_location import Instance
+from robotkube.delivery.manager.core.placement.link_needs import LinkNeed
 from robotkube.delivery.manager.core.placement.placement import Agent
-from robotkube.errors import RefusalError
+from robotkube.errors import DocumentError, RefusalError
 from robotkube.foundation.documents.core.value_templates import Render, expand_for_each
 from robotkube.registry.catalogue.core.applications import TOPIC_KEYS, Link
-from robotkube.registry.catalogue.core.links.loops import joined
+from robotkube.registry.catalogue.core.links.loops import joined, loops_of
 from robotkube.robots.bridge.core.rights import IN, OUT, RULES, may
 
 FindAgents = Callable[[str, Any], Sequence[Agent]]
@@ -60,6 +62,37 @@ def passages(
                 passage = Passage(sender, receiver, {key: topic[key] for key in TOPIC_KEYS})
                 _check(passage)
                 yield passage
+
+
+def needs(links: Sequence[Link], instance: Instance, names: Mapping[str, Any], render: Render) -> Iterator[LinkNeed]:
+    """What the links of an instance ask of the agent on which it is placed, as far as that is known before: not of
+    links to other services, nor of templates with a placement that is still to come."""
+    for link in (one for one in links if one.kind != "ros"):
+        for end, other, direction in ((link.source, link.target, OUT), (link.target, link.source, IN)):
+            if end.get("service") != instance.service.name or "service" in other:
+                continue
+            try:
+                yield from _needs(link, other, direction, instance, names, render)
+            except DocumentError:
+                continue
+
+
+def _needs(
+    link: Link,
+    other: Mapping[str, str],
+    direction: str,
+    instance: Instance,
+    names: Mapping[str, Any],
+    render: Render,
+) -> Iterator[LinkNeed]:
+    for own in loops_of(link.for_each, names, render):
+        if joined(own, instance.loop) is None:
+            continue
+        scope = {**names, **(own or instance.loop)}
+        [(kind, text)] = other.items()
+        end = {} if kind == "medium" else {kind: str(render(text, scope))}
+        for topic in link.topics:
+            yield LinkNeed(direction, str(render(topic["name"], scope)), **end)
 
 
 def _legs(

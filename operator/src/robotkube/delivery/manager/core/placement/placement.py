@@ -12,6 +12,7 @@ from robotkube.errors import RefusalError
 from robotkube.registry.catalogue.core.applications import PlacementRule
 
 if TYPE_CHECKING:
+    from robotkube.delivery.manager.core.placement.link_needs import LinkNeed
     from robotkube.delivery.tasks.core.holds import DeviceHold
 
 NODE_LOST_SECONDS = 40.0
@@ -78,8 +79,8 @@ class NodeState:
 @dataclass(frozen=True)
 class PlacementRequest:
     """Request of an instance of a service for a place: its rule, the agent it names (rendered; None: it names none),
-    the agents that run its release already, what it asks for, the platforms it runs on (none: any), and a word for
-    services that must not share an agent with each other. `merged`: it shares a release of its name with others."""
+    the agents that run its release already, what it asks for, the platforms it runs on (none: any), a word for services
+    that must not share an agent. `merged`: it shares a release of its name with others. `links`: what they need."""
 
     service: str
     rule: PlacementRule
@@ -89,6 +90,7 @@ class PlacementRequest:
     platforms: tuple[str, ...] = ()
     apart: str = ""
     merged: bool = False
+    links: tuple[LinkNeed, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -387,9 +389,8 @@ def place(asked: Group, around: Circumstances, kept: Mapping[str, int] | None = 
         near = {fleet.at[name].name for name in kept if name in fleet.at}
         chosen = min(free, key=lambda agent: (agent.name not in near, load(agent.place), agent.place))
         return Placement(chosen, _reasons(asked, chosen, candidates, around))
-    for agent in running:
-        if not around.avoids(agent):
-            return candidates.stays(agent, asked.together)
+    if staying := [agent for agent in running if not around.avoids(agent)]:
+        return candidates.stays(staying[0], asked.together)
     for name in sorted(candidates.lost & kept.keys()) if around.waits else ():
         agent = fleet.at[name]
         return Placement(agent, (*asked.together, f"{agent}: its Node is lost, and nobody else can take it: it waits"))
@@ -443,8 +444,7 @@ def _candidates(fleet: Fleet, wanted: AgentCriteria) -> Candidates:
     if fleet.homes:
         agents = [place for agent in agents for place in _places(fleet, agent, wanted)]
     for agent in agents:
-        nodes = fleet.machines(agent)
-        if reason := _lack(agent, nodes, wanted):
+        if reason := _lack(agent, nodes := fleet.machines(agent), wanted):
             obstacles[agent.place] = reason
             continue
         stay.add(agent.place)
