@@ -141,6 +141,34 @@ def test_unsorted_tables_are_read_in_order(tmp_path: Path) -> None:
     assert not complaints
 
 
+FORMLESS = {
+    "NULL": (
+        "CREATE TABLE others AS SELECT id, name, type, NULL AS serialization_format, offered_qos_profiles FROM topics",
+        "DROP TABLE topics",
+        "ALTER TABLE others RENAME TO topics",
+    ),
+    "empty": ("UPDATE topics SET serialization_format = ''",),
+    "no column": ("ALTER TABLE topics DROP COLUMN serialization_format",),
+}
+
+
+@pytest.mark.parametrize("form", FORMLESS)
+def test_a_serialization_format_may_stand_in_metadata_alone(form: str, tmp_path: Path) -> None:
+    """Such a bag was refused, though nothing is wrong with it."""
+    write_rosbag(tmp_path / "bag", StoragePlugin.SQLITE3, CompressionMode.NONE)
+    for statement in FORMLESS[form]:
+        change_tables(tmp_path / "bag", statement)
+    assert read(tmp_path / "bag") == (messages(), [])
+    metadata = tmp_path / "bag" / "metadata.yaml"
+    metadata.write_text(metadata.read_text().replace("serialization_format: cdr", "serialization_format: json"))
+    with pytest.raises(InputError, match=r"topic /.* is json by metadata\.yaml; only cdr is read"):
+        open_bag(tmp_path / "bag")
+    metadata.unlink()
+    read_messages, complaints = read(tmp_path / "bag")
+    assert read_messages == messages()
+    assert [text for text in complaints if "only cdr" in text] == []
+
+
 def test_split_bags_and_folders_without_metadata(tmp_path: Path) -> None:
     folder = tmp_path / "bag"
     folder.mkdir()

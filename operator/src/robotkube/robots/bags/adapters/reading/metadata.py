@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,12 +25,13 @@ _DURABILITIES = {"1": "transient_local", "2": "volatile"}
 @dataclass(frozen=True)
 class Metadata:
     """The parts of metadata.yaml that say how to read the files. `compression`: format of `mode` (file, message,
-    UNKNOWN or empty)."""
+    UNKNOWN or empty); `forms`: topic -> how its messages are serialised, as far as it says."""
 
     storage: str
     files: tuple[Path, ...]
     mode: str = ""
     compression: str = ""
+    forms: Mapping[str, str] = field(default_factory=dict)
 
 
 def read_metadata(folder: Path) -> Metadata:
@@ -52,7 +53,16 @@ def read_metadata(folder: Path) -> Metadata:
             f"{path}: compression_format: {compression[:40]!r} is not zstd; convert it: `ros2 bag convert`"
         )
     files = tuple(_inside(folder, str(name), path) for name in names)
-    return Metadata(storage, files, mode if mode == "message" else "", compression)
+    forms = _forms(information.get("topics_with_message_count"))
+    return Metadata(storage, files, mode if mode == "message" else "", compression, forms)
+
+
+def _forms(topics: Any) -> dict[str, str]:
+    """Topic -> its serialization_format, of what is written as rosbag2 writes it."""
+    listed = topics if isinstance(topics, list) else []
+    entries = [entry.get("topic_metadata") for entry in listed if isinstance(entry, dict)]
+    described = [entry for entry in entries if isinstance(entry, dict) and entry.get("serialization_format")]
+    return {str(entry.get("name")): str(entry["serialization_format"])[:40] for entry in described}
 
 
 def qos_profile(value: Any) -> dict[str, Any]:

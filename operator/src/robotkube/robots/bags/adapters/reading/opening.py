@@ -106,7 +106,7 @@ class OpenBag:
         if kind == MCAP:
             return McapFile(plain, self._complain, file)
         if kind == SQLITE:
-            return SqliteFile(plain, self._complain, file)
+            return SqliteFile(plain, self._complain, file, self._metadata.forms)
         storage = f"storage {kind[:40]!r} is" if kind else "is"
         raise InputError(f"{file}: {storage} none of {MCAP}, {SQLITE}; convert it: `ros2 bag convert`")
 

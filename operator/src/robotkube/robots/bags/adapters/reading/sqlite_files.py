@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from array import array
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ TIME_MAX = 2**63 - 1
 SERIALISATION = "cdr"
 DEFINITION = "ros2msg"
 BEGIN = b"SQLite format 3\0"
+_NO_FORMS: Mapping[str, str] = {}
 _WAYS = (("?mode=ro", False), ("?mode=ro&immutable=1", False), ("?mode=ro&immutable=1", True))
 """How to open: the first sees what a crashed writer left in its journal; the last, lenient one reads a file that is
 shorter than it says."""
@@ -27,11 +28,19 @@ _FAULTS = (sqlite3.Error, ValueError, OverflowError, MemoryError)  # sqlite's me
 
 class SqliteFile:
     """One open sqlite3 file. InputError at construction: not a file of this kind. `complain` hears of damage, of the
-    file as `named`."""
+    file as `named`. `forms`: topic -> how metadata.yaml says that its messages are serialised, for topics of which
+    the file says nothing."""
 
-    def __init__(self, path: Path, complain: Callable[[str], None], named: Path | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        complain: Callable[[str], None],
+        named: Path | None = None,
+        forms: Mapping[str, str] = _NO_FORMS,
+    ) -> None:
         self._path = named or path
         self._complain = complain
+        self._forms = forms
         self._database = self._open(path)
         try:
             self._names: dict[int, str] = {}
@@ -93,8 +102,9 @@ class SqliteFile:
         for number, name, type_name, form, offered in self._rows(f"SELECT {chosen} FROM topics"):  # noqa: S608
             if not (isinstance(number, int) and isinstance(name, str) and isinstance(type_name, str)):
                 self._complain(f"{self._path}: a row of topics is damaged; left out")
-            elif form not in ("", SERIALISATION):
-                self._complain(f"{self._path}: topic {name} is {form}; only {SERIALISATION} is read")
+            elif (form or self._forms.get(name, SERIALISATION)) != SERIALISATION:
+                said = form or f"{self._forms[name]} by metadata.yaml"
+                self._complain(f"{self._path}: topic {name} is {said}; only {SERIALISATION} is read")
             elif len(topics) < TOPICS_MAX:
                 self._names[number] = name
                 topics.append(topic(name, type_name, offered))
