@@ -67,11 +67,12 @@ def replayed(sent: Sequence[Sent], settings: Mapping[str, Any]) -> tuple[list[To
 
 def lived(sent: Sequence[Sent], settings: Mapping[str, Any]) -> tuple[list[Told], DetectorStage]:
     """The edges of a live detector that gets these messages when they are received, and the detector."""
+    waiting = sorted(sent, key=lambda message: message.received)[::-1]
     stage = DetectorStage(MemoryTasks())
+    stage.now = NOW + waiting[-1].received - TURN_NS
     stage.live.published = {message.topic: [POSE] for message in sent}
     stage.apply(settings, adopting=False)
     stage.detector.turn()
-    waiting = sorted(sent, key=lambda message: message.received)[::-1]
     last = NOW + waiting[0].received + AFTER_NS
     while stage.now < last + stage.detector.wait_ns:
         stage.now += TURN_NS
@@ -79,6 +80,7 @@ def lived(sent: Sequence[Sent], settings: Mapping[str, Any]) -> tuple[list[Told]
             message = waiting.pop()
             stage.live.topics[message.topic].waiting.append((message.data, NOW + message.received))
         stage.detector.turn()
+    stage.detector.settle()
     edges = [
         Told(e["rule"], e["edge"], tuple(e["agents"]), e["stamp"] - NOW, e["id"])
         for e in stage.events()

@@ -316,10 +316,9 @@ class EventDetector:
     def _jumped(self, topic: TopicSubscription, sample: Sample, batch: list[Message] | None) -> None:
         """Queue an event of the rule time-jump: the topic's time has jumped, and its buffer has begun anew.
 
-        Rules get what came before the jump first, and begin anew with the topic as its buffer does."""
+        Rules get what came from it before the jump first, and begin anew with the topic as its buffer does."""
         if batch is not None:
-            self._observe(self._order.all(batch))
-            batch.clear()
+            self._observe(self._order.of(topic.name, batch, self._clock_ns()))
             self.engine.restart(topic.name, sample.stamp)
         event, trace = event_identity(TIME_JUMP, (topic.agent, topic.name), sample.stamp)
         begin = Edge(TIME_JUMP, START, (topic.agent,), event, trace, sample.received, sample.stamp)

@@ -157,7 +157,7 @@ class Evaluator:
         whose `stamp` is not to be believed it is None."""
         last = self._seen.get(agent)
         if last is not None:
-            self._seen[agent] = last[0], received
+            self._seen[agent] = last[0], max(last[1], received)
         self.condition.overlook((agent,), received, stamp)
 
     def answer(self, answered: AnsweredQuestion) -> list[Edge]:

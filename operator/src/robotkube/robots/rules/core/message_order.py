@@ -15,7 +15,14 @@ from robotkube.robots.rules.core.messages import Message
 HELD_MAX = 100_000
 """The most messages that wait; with more of them, none waits any longer."""
 
+TURN_NS = 16_000_000
+"""About how often messages are looked at: what is received within it is put in the order of the stamps."""
+
 _stamp = itemgetter(2)
+
+
+def _turn_and_stamp(message: Message) -> tuple[int, int]:
+    return message.received // TURN_NS, message.stamp
 
 
 class MessageOrder:
@@ -52,12 +59,24 @@ class MessageOrder:
         return sorted(due, key=_stamp)
 
     def all(self, messages: Iterable[Message] = ()) -> Sequence[Message]:
-        """All messages, those that wait among them, in the order of their stamps."""
-        every = [*map(self._aligned, self._held), *messages] if self._held else list(messages)
-        if len(every) > 1:
-            every.sort(key=_stamp)
+        """All messages, those that wait among them, in the order of their stamps; where they would have come one after
+        the other, in that order."""
+        if not self._held:
+            return sorted(messages, key=_stamp)
+        every = [self._aligned(message) for message in (*self._held, *messages)]
         self._held = []
-        return every
+        return sorted(every, key=_turn_and_stamp)
+
+    def of(self, topic: str, messages: list[Message], now: int) -> Sequence[Message]:
+        """The messages of one topic in the order of their stamps, taken from those that wait and from `messages`.
+
+        They come before it is their turn; so that the time of the others does not go on, they count as received at the
+        rules' time."""
+        moment = now - self.wait_ns
+        every = [self._aligned(message) for message in (*self._held, *messages) if message.topic == topic]
+        self._held = [message for message in self._held if message.topic != topic]
+        messages[:] = [message for message in messages if message.topic != topic]
+        return [message._replace(received=min(message.received, moment)) for message in sorted(every, key=_stamp)]
 
     def _aligned(self, message: Message) -> Message:
         """The message with the time at which the fastest ones of its source would have been received."""

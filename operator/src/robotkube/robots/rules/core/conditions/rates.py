@@ -19,13 +19,14 @@ COUNTED_MAX = 20_000
 
 @dataclass
 class _Arrivals:
-    """The stamps of a member's messages within the window, and when the counting began."""
+    """The stamps of a member's messages within the window, when the counting began, and up to when they have left."""
 
     first: int
     topic: str
     stamps: deque[int] = field(default_factory=lambda: deque(maxlen=COUNTED_MAX))
     last: int = 0
     received: int = 0
+    left: int = 0
 
     def moment(self, stamp: int) -> int:
         """The moment of `stamp` on this machine's clock."""
@@ -66,9 +67,9 @@ class RateCondition(RuleCondition):
         known = self._arrivals.get(member)
         if known is None:
             return
-        known.received = received
+        known.received = max(known.received, received)
         moment = known.last if stamp is None else stamp
-        if known.last - self._window_ns < moment and len(known.stamps) < COUNTED_MAX:
+        if max(known.last, known.left) - self._window_ns < moment and len(known.stamps) < COUNTED_MAX:
             known.stamps.insert(bisect_right(known.stamps, moment), moment)
 
     def elapse(self, now: int) -> Sequence[MemberChange]:
@@ -107,6 +108,7 @@ class RateCondition(RuleCondition):
 
     def _leaving(self, member: Member, known: _Arrivals, stamp: int, received: int) -> Iterator[MemberChange]:
         """The changes while messages leave the window, up to `stamp`."""
+        known.left = max(known.left, stamp)
         while known.stamps and known.stamps[0] + self._window_ns <= stamp:
             moment = known.stamps.popleft() + self._window_ns
             while known.stamps and known.stamps[0] + self._window_ns == moment:
