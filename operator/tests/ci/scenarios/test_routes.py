@@ -10,7 +10,8 @@ import pytest
 
 from robotkube.robots.bags.adapters.reading import open_bag
 from robotkube.robots.perception.core.detection import REFLECTANCE, ObjectCriteria, find_objects
-from robotkube.robots.perception.core.messages import Poses, read_cloud
+from robotkube.robots.perception.core.messages import Poses
+from robotkube.robots.perception.core.point_clouds import read_cloud
 from robotkube.robots.perception.core.tracking import STEADY, Tracker, TrackerSettings
 from scenarios import definition
 from scenarios.generator import bags, checking, drives, intersection, routes, three_vehicles

@@ -21,7 +21,7 @@ from robotkube.robots.export.adapters.kitti_dataset import preview
 from robotkube.robots.export.core.labels import SIZE_DEFAULT, Label, LabellingSettings
 from robotkube.robots.export.core.png import GREEN
 from robotkube.robots.export.loops.labelling import POSES_DEFAULT, LabellingCounts, label_clouds
-from robotkube.robots.perception.core.messages import read_cloud
+from robotkube.robots.perception.core.point_clouds import read_cloud
 from scenarios import definition
 from scenarios.generator import bags
 from scenarios.generator.scene import VEHICLE, VEHICLE_SIZE_M

@@ -21,7 +21,8 @@ from robotkube.robots.perception.core.detection import (
     find_objects,
     uncertainty,
 )
-from robotkube.robots.perception.core.messages import PlanarPose, read_cloud, read_poses, write_poses
+from robotkube.robots.perception.core.messages import PlanarPose, read_poses, write_poses
+from robotkube.robots.perception.core.point_clouds import read_cloud
 from robotkube.robots.perception.core.settings import read_detection_settings
 from robotkube.robots.perception.loops.object_detection import ObjectDetection
 from scenarios.generator import messages, scene
@@ -75,6 +76,33 @@ def test_nothing_is_found_where_nothing_is(criteria: ObjectCriteria) -> None:
     for x in range(0, 60, 3):
         own = scene.Place(float(x), -4.0, 0.0)
         assert find_objects(read_cloud(lidar_clouds.cloud(own=own, seed=x)), criteria) == ()
+
+
+def beside(gap_m: float, x: float) -> tuple[scene.Place, scene.Place]:
+    """Two vehicles beside each other, on the side of the road that is on the left as one looks."""
+    width = scene.VEHICLE_SIZE_M[1]
+    near = -4.0 if x > 0 else 2.0
+    return scene.Place(x, near, math.pi), scene.Place(x, near - width - gap_m, math.pi)
+
+
+def test_vehicles_beside_each_other_are_two() -> None:
+    """They were merged, and one of that size is no vehicle: of these 40 pairs none was found."""
+    pairs = [beside(gap, sign * x) for gap in (2.0, 2.5, 3.0, 3.5) for x in (8, 15, 25, 35, 45) for sign in (1, -1)]
+    assert sum(both_found(pair, NEWER) for pair in pairs) == len(pairs) == 40
+
+
+@pytest.mark.parametrize("criteria", [OLDER, NEWER])
+def test_a_narrow_way_between_them_is_seen_near_by(criteria: ObjectCriteria) -> None:
+    pairs = [beside(1.5, float(x)) for x in (12, 16, -12, -16)]
+    assert sum(both_found(pair, criteria) for pair in pairs) >= 2
+
+
+def both_found(pair: tuple[scene.Place, scene.Place], criteria: ObjectCriteria) -> bool:
+    """True when there are two vehicles, where these are."""
+    objects = find_objects(read_cloud(lidar_clouds.cloud(*pair, seed=7)), criteria)
+    places = [(detected.pose.x, detected.pose.y) for detected in objects]
+    distances = [min((math.dist(lidar_clouds.seen_at(one), place) for place in places), default=99.0) for one in pair]
+    return len(objects) == 2 and max(distances) <= 1.5
 
 
 def test_a_turned_vehicle_has_its_heading() -> None:

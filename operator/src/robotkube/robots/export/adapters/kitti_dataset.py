@@ -11,7 +11,7 @@ from robotkube.errors import InputError
 from robotkube.robots.export.core.kitti import CALIBRATION, json_line, label_line, readme_text
 from robotkube.robots.export.core.labels import Label, LabellingSettings, corners, interleaved
 from robotkube.robots.export.core.png import GREEN, GREY, ORANGE, WHITE, Picture
-from robotkube.robots.perception.core.messages import Cloud
+from robotkube.robots.perception.core.point_clouds import Cloud
 
 FRAMES_MAX = 1_000_000
 PREVIEW_PIXELS = 800

@@ -20,7 +20,7 @@ from robotkube.robots.export.core.transforms import (
     Transform,
     Vector,
 )
-from robotkube.robots.perception.core.messages import Cloud
+from robotkube.robots.perception.core.point_clouds import Cloud
 
 NANOSECONDS = 1_000_000_000
 ACCELERATION_MAX = 10.0

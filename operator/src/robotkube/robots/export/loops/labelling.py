@@ -13,7 +13,8 @@ from robotkube.errors import InputError
 from robotkube.robots.bags.ports.sources import BagSource
 from robotkube.robots.export.core.labels import AgentPoses, Label, LabellingSettings, points_within
 from robotkube.robots.export.core.transforms import PoseHistory, StaticTransforms, deviation, transform
-from robotkube.robots.perception.core.messages import CLOUD_TYPE, Cloud, read_cloud
+from robotkube.robots.perception.core.messages import CLOUD_TYPE
+from robotkube.robots.perception.core.point_clouds import Cloud, read_cloud
 from robotkube.robots.ros.core.cdr_readers.readers import FieldReader, Layouts
 from robotkube.robots.ros.core.topic_patterns import TopicPattern, ros_name
 

@@ -11,8 +11,10 @@ import math
 from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
-from robotkube.robots.perception.core.messages import Cloud, PlanarPose
+from robotkube.robots.perception.core.messages import PlanarPose
+from robotkube.robots.perception.core.point_clouds import Cloud
 
 SIZE = "size"
 REFLECTANCE = "reflectance"
@@ -23,6 +25,11 @@ GROUND_STEP_M = 0.2
 GROUND_SAMPLES = 2000
 CELL_M = {SIZE: 0.5, REFLECTANCE: 1.0}  # far away the lines of a roof are metres apart
 LINKED_CELLS = 4  # clusters are farther apart than this
+SEEN_GAP_M = 0.6  # seen between two vehicles when the inner side of one is seen, too
+SEEN_GAP_RADIANS = 0.015  # more than between two columns of points
+SPLIT_CELL_M = 0.5  # vehicles beside each other are, at the latest, with cells this large
+SPLIT_CELLS = (6, 5, 4, 3, 2, 1)  # and over ways of 3 m, 2.5 m, ... 0.5 m between their cells
+SPLIT_EXTENT_M = 13.0  # three beside each other, or two behind each other
 MARGIN_M = 8.0  # clustered beyond the range, so that nothing long looks short at its edge
 SIZE_TOLERANCE_M = 1.0
 FACE_TOLERANCE_M = 0.4
@@ -59,8 +66,9 @@ class DetectedObject:
 
 def find_objects(cloud: Cloud, criteria: ObjectCriteria) -> tuple[DetectedObject, ...]:
     """The vehicles in the cloud, nearest first."""
-    boxes = (_fitted(cluster, criteria) for cluster in _clusters(_candidates(cloud, criteria), CELL_M[criteria.method]))
-    within = [box for box in boxes if box and math.hypot(box.pose.x, box.pose.y) <= criteria.range_m]
+    clusters = _clusters(_candidates(cloud, criteria), CELL_M[criteria.method], LINKED_CELLS)
+    boxes = (box for cluster in clusters for box in _boxes(cluster, criteria))
+    within = [box for box in boxes if math.hypot(box.pose.x, box.pose.y) <= criteria.range_m]
     return tuple(sorted(within, key=lambda box: math.hypot(box.pose.x, box.pose.y)))
 
 
@@ -75,11 +83,13 @@ def _candidates(cloud: Cloud, criteria: ObjectCriteria) -> list[Point]:
         return []
     floor = _ground(cloud) + GROUND_CLEARANCE_M
     reach = (criteria.range_m + MARGIN_M) ** 2
-    above = [index for index, z in enumerate(cloud.z) if floor < z < floor + HEIGHT_MAX_M]
+    top = floor + HEIGHT_MAX_M
     if criteria.method == REFLECTANCE:
         bright = criteria.reflectance_min
-        intensity = cloud.intensity
-        above = [index for index in above if intensity[index] >= bright] if intensity else []
+        heights = cloud.z
+        above = [n for n, share in enumerate(cloud.intensity) if share >= bright and floor < heights[n] < top]
+    else:
+        above = [index for index, z in enumerate(cloud.z) if floor < z < top]
     points = ((cloud.x[index], cloud.y[index], cloud.z[index]) for index in above)
     return [point for point in points if point[0] * point[0] + point[1] * point[1] <= reach]
 
@@ -91,8 +101,63 @@ def _ground(cloud: Cloud) -> float:
     return level * GROUND_STEP_M
 
 
-def _clusters(points: Sequence[Point], cell_m: float) -> Iterator[list[Point]]:
+def _boxes(cluster: Sequence[Point], criteria: ObjectCriteria) -> Iterator[DetectedObject]:
+    """The vehicles in a cluster. Vehicles beside each other may be in one: it is taken apart where the sensor sees
+    between them. What is larger than a few vehicles stays what it is, and is none."""
+    extent = _extent(cluster)
+    if len(cluster) < criteria.points_min or extent > SPLIT_EXTENT_M:
+        return
+    parts = _seen_apart(cluster) if extent > criteria.width_m + SEEN_GAP_M else [cluster]
+    for part in parts:
+        yield from _fitted_or_split(part, criteria, SPLIT_CELLS)
+
+
+def _fitted_or_split(
+    cluster: Sequence[Point], criteria: ObjectCriteria, split_cells: Sequence[int]
+) -> Iterator[DetectedObject]:
+    """The vehicle that a cluster is; when it is too large, those in it, which is taken apart over ever shorter ways, as
+    few as are needed."""
+    longest = math.hypot(criteria.length_m + SIZE_TOLERANCE_M, criteria.width_m + SIZE_TOLERANCE_M)
+    box = _fitted(cluster, criteria) if _extent(cluster) <= longest else None
+    if box:
+        yield box
+    elif len(cluster) >= 2 * criteria.points_min and _falls_apart(cluster):
+        for number, cells in enumerate(split_cells, 1):
+            parts = list(_clusters(cluster, SPLIT_CELL_M, cells))
+            if len(parts) > 1:
+                for part in parts:
+                    yield from _fitted_or_split(part, criteria, split_cells[number:])
+                return
+
+
+def _falls_apart(cluster: Sequence[Point]) -> bool:
+    """True when the shortest way takes it apart; a wall's is whole, whatever is tried."""
+    parts = _clusters(cluster, SPLIT_CELL_M, SPLIT_CELLS[-1])
+    return len(next(parts)) < len(cluster)
+
+
+def _seen_apart(cluster: Sequence[Point]) -> list[Sequence[Point]]:
+    """The parts of a cluster between which nothing is in the directions that the sensor looks to. Along these its
+    points are close together; away from it the lines of a roof are metres apart."""
+    x, y, _ = cluster[0]
+    turned = sorted((math.atan2(x * q - y * p, x * p + y * q), n) for n, (p, q, _) in enumerate(cluster))
+    nearest = math.sqrt(min(p * p + q * q for p, q, _ in cluster))
+    angle_min = SEEN_GAP_M / max(nearest, SEEN_GAP_M) + SEEN_GAP_RADIANS
+    begins = [n for n, (before, after) in enumerate(pairwise(turned), 1) if after[0] - before[0] > angle_min]
+    bounds = [0, *begins, len(turned)]
+    return [[cluster[n] for _, n in turned[first:last]] for first, last in pairwise(bounds)]
+
+
+def _extent(cluster: Sequence[Point]) -> float:
+    """The longer one of the sides along the axes."""
+    columns = [[point[axis] for point in cluster] for axis in (0, 1)]
+    return max(max(column) - min(column) for column in columns)
+
+
+def _clusters(points: Sequence[Point], cell_m: float, linked_cells: int) -> Iterator[list[Point]]:
     """Clusters of points whose cells are linked over short ways."""
+    reach = range(-linked_cells, linked_cells + 1)
+    ways = [(column, row) for column in reach for row in reach]
     cells: dict[tuple[int, int], list[Point]] = {}
     for point in points:
         cells.setdefault((math.floor(point[0] / cell_m), math.floor(point[1] / cell_m)), []).append(point)
@@ -101,16 +166,12 @@ def _clusters(points: Sequence[Point], cell_m: float) -> Iterator[list[Point]]:
         waiting = deque([first])
         cluster = list(members)
         while waiting:
-            for cell in _near(waiting.popleft()):
+            column, row = waiting.popleft()
+            for cell in [(column + columns, row + rows) for columns, rows in ways]:
                 if cell in cells:
                     cluster += cells.pop(cell)
                     waiting.append(cell)
         yield cluster
-
-
-def _near(cell: tuple[int, int]) -> Iterator[tuple[int, int]]:
-    reach = range(-LINKED_CELLS, LINKED_CELLS + 1)
-    return ((cell[0] + column, cell[1] + row) for column in reach for row in reach)
 
 
 @dataclass(frozen=True)

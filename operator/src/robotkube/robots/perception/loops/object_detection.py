@@ -10,10 +10,10 @@ from robotkube.robots.perception.core.messages import (
     CLOUD_TYPE,
     NUMBER_TYPE,
     POSES_TYPE,
-    read_cloud,
     write_number,
     write_poses,
 )
+from robotkube.robots.perception.core.point_clouds import read_cloud
 from robotkube.robots.perception.core.settings import DetectionSettings
 from robotkube.robots.perception.loops.service import Log, MessageProcessor
 
