@@ -31,10 +31,15 @@ class FieldKind(NamedTuple):
 
 
 KINDS = {
-    1: FieldKind("int8", "b", 1, 2**7 - 1), 2: FieldKind("uint8", "B", 1, 2**8 - 1), 3: FieldKind("int16", "h", 2, 2**15 - 1),
-    4: FieldKind("uint16", "H", 2, 2**16 - 1), 5: FieldKind("int32", "i", 4, 2**31 - 1), 6: FieldKind("uint32", "I", 4, 2**32 - 1),
-    FLOAT32: FieldKind("float32", "f", 4), 8: FieldKind("float64", "d", 8),
-}  # fmt: skip
+    1: FieldKind("int8", "b", 1, 2**7 - 1),
+    2: FieldKind("uint8", "B", 1, 2**8 - 1),
+    3: FieldKind("int16", "h", 2, 2**15 - 1),
+    4: FieldKind("uint16", "H", 2, 2**16 - 1),
+    5: FieldKind("int32", "i", 4, 2**31 - 1),
+    6: FieldKind("uint32", "I", 4, 2**32 - 1),
+    FLOAT32: FieldKind("float32", "f", 4),
+    8: FieldKind("float64", "d", 8),
+}
 
 
 @dataclass(frozen=True)
