@@ -34,7 +34,7 @@ VERDICT_SECONDS_MAX = 600.0
 INSTALL = SuiteRule("install", "2", 240, soak_seconds=10)
 SHORT_INSTALL = SuiteRule("install", "2", 75)  # a chart that never gets ready takes 60 % of it
 VERIFIED = "verified"
-CHECKS = {"installs", "becomes-ready", "stops-within-its-grace", "leaves-nothing-behind", "upgrades"}
+CHECKS = {"installs", "becomes-ready", "keeps-running", "stops-within-its-grace", "leaves-nothing-behind", "upgrades"}
 
 # Runs in a test namespace and tries what nothing there may do. Prints one check per attempt.
 BURGLAR = """
