@@ -273,7 +273,7 @@ def test_the_observer_ends_on_sigterm_with_what_it_saw(tmp_path: Path) -> None:
     topic = ExpectedTopic("input", "ros", "in", "/suite/never", "std_msgs/msg/String", "reliable", "volatile")
     config = {
         "topics": [asdict(topic)], "node": "suite_observer_test", "client": "", "broker": False, "database": None,
-        "clear": False, "seconds_max": 60.0, "bounds": asdict(ObserverTimeouts(settle=60.0)),
+        "clear": False, "load_seconds": 0.0, "seconds_max": 60.0, "bounds": asdict(ObserverTimeouts(settle=60.0)),
     }  # fmt: skip
     (tmp_path / "config.json").write_text(json.dumps(config))
     environment = {

@@ -36,11 +36,18 @@ def setting(tmp_path: Path) -> Iterator[DataPath]:
             made.close()
 
 
+def unheard_with_logs(setting: DataPath) -> str:
+    """What players lack, with the end of what their bridges and they logged."""
+    lacks = setting.unheard()
+    logs = [path for agent in lacks for path in sorted((setting.folder / agent).glob("*.log"))]
+    return "\n".join([str(lacks), *(f"{path.name}: {path.read_text()[-2000:]}" for path in logs)])
+
+
 def play(setting: DataPath, acts: dict[float, Callable[[], None]]) -> Received:
     """Plays all bags; `acts` are done at their seconds of the run. Returns what arrived."""
     setting.begin()
     until(lambda: all(setting.connected(a) for a in [*setting.agents, "cloud-0"]), "bridges connected", WAIT_SECONDS)
-    until(lambda: not setting.unheard(), "players heard", WAIT_SECONDS, setting.unheard)
+    until(lambda: not setting.unheard(), "players heard", WAIT_SECONDS, lambda: unheard_with_logs(setting))
     start = time.time() + LEAD_SECONDS
     setting.order(int(start * 1e9))
     for second, act in sorted(acts.items()):
