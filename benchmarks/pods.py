@@ -24,6 +24,7 @@ from ci.errors import SetUpError
 
 STOP_SECONDS_MAX = 5.0
 START_SECONDS_MAX = 10.0
+LINK_SECONDS_MAX = 10.0
 ROOT = Path(__file__).resolve().parents[1]
 SECOND_BYTES = range(246, 255)  # behind those of the clusters
 PORTS = (12_000, 30_000)  # above the well-known ones, below node ports and the kernel's own choice
@@ -126,7 +127,17 @@ class Nodes:
         _ip("-n", name, "addr", "add", f"{self.address(node, name)}/24", "dev", "eth0")
         _ip("-n", name, "link", "set", "eth0", "mtu", str(self.mtu), "up")
         _ip("-n", name, "route", "add", "default", "via", self.gateway(node))
+        self._await_link(name)
         return name
+
+    @staticmethod
+    def _await_link(pod: str) -> None:
+        """Until the link has its carrier: a ROS node that is made before hears nobody for ever."""
+        end = time.monotonic() + LINK_SECONDS_MAX
+        while " state UP " not in _ip("-n", pod, "-o", "link", "show", "eth0"):
+            if time.monotonic() >= end:
+                raise SetUpError(f"{pod}: eth0 has no carrier after {LINK_SECONDS_MAX:.0f} s")
+            time.sleep(0.01)
 
     def address(self, node: int, pod: str) -> str:
         """The address of a namespace on its node's network."""
@@ -155,10 +166,11 @@ def _claim() -> int:
     raise SetUpError(f"all networks 10.x with x in {SECOND_BYTES} are used: take away what `ip link` shows as rk<x>b0")
 
 
-def _ip(*arguments: str) -> None:
+def _ip(*arguments: str) -> str:
     done = subprocess.run(["ip", *arguments], capture_output=True, text=True, check=False)
     if done.returncode:
         raise SetUpError(f"ip {' '.join(arguments)}: {done.stderr.strip()}; network namespaces need root")
+    return done.stdout
 
 
 def start(

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import logging
 import os
 import re
 import sys
@@ -30,6 +31,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robotkube.errors import InputError, RobotKubeError, UnavailableError
 from robotkube.foundation.documents.core.patterns import ROS_TYPE
+from robotkube.robots.ros.adapters.network_links import wait_for_link
 from robotkube.robots.ros.core.common_messages import PublishOutcome
 
 if TYPE_CHECKING:  # only who reads the graph needs them
@@ -42,6 +44,9 @@ ENDLESS_NS = 1 << 62
 INCOMPATIBLE, DEADLINE, LIVELINESS = "incompatible", "deadline", "liveliness"
 POLICY_PREFIX = "RMW_QOS_POLICY_"
 _WORD_START = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
+
+
+log = logging.getLogger(__name__)
 
 
 class MessageTypeError(InputError):
@@ -85,6 +90,9 @@ class RosNode:
 
     def __init__(self, name: str) -> None:
         _use_profile()
+        missing = wait_for_link()
+        if missing:
+            log.warning("network link without carrier links=%s hears=nobody", ",".join(missing))
         self._bindings = _bindings()
         self._native = _native()
         self._context = self._bindings.Context([], self._bindings.RCL_DEFAULT_DOMAIN_ID)
