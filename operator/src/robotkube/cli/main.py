@@ -1,8 +1,9 @@
 """The command `robotkube <noun> <verb>`: what runs, what was asked for, what was planned and recorded.
 
 stdout is data (`--output table|yaml|json`), stderr is talk. Ends with 0 done, 1 refused, 2 wrong usage, 3 something is
-unreachable (API server, manager, forge, database) or did not come in time. Access: a kubeconfig (`--kubeconfig`,
-KUBECONFIG); forge and manager are reached through the API server.
+unreachable (API server, manager, forge, database) or did not come in time, 4 nothing speaks against it and
+nothing proves it. Access: a kubeconfig (`--kubeconfig`, KUBECONFIG); forge and manager are reached through the API
+server.
 """
 
 from __future__ import annotations

@@ -26,6 +26,7 @@ INTERFACES = [
 SOAKED = {**ENTRY, "spec": {**ENTRY["spec"], "interfaces": INTERFACES}}
 NOTHING = {"endpoints": [], "publications": [], "collections": [], "answers": [], "seconds": 61.0}
 SENT = PodRun(json.dumps({"observation": NOTHING}), 0)
+ENDED_EARLY = PodRun(json.dumps({"observation": {**NOTHING, "seconds": 12.0}}), 0)
 
 
 def pod(name: str = "greeter-1", uid: str = "u1", **status: Any) -> dict[str, Any]:
@@ -124,6 +125,7 @@ def test_without_a_soak_nothing_is_sent_and_nothing_claimed() -> None:
     ("test_namespace", "words"),
     [
         (MemoryTestNamespace(runs=[PodRun("no such type", 1)]), "no such type"),
+        (MemoryTestNamespace(runs=[ENDED_EARLY]), "the observer was ended after 12 of 60 s"),
         (MemoryTestNamespace(seconds_left=61.0), "61 s are left of the run; raise `seconds` of the suite"),
     ],
 )

@@ -48,8 +48,6 @@ def wait_for_link(
 ) -> list[str]:
     """Wait until a link runs, at most LINK_SECONDS_MAX; the links that did not (none: one runs, or there is none)."""
     end = clock() + LINK_SECONDS_MAX
-    while True:
-        names = awaited(flags())
-        if not names or clock() >= end:
-            return names
+    while (names := awaited(flags())) and clock() < end:
         sleep(POLL_SECONDS)
+    return names
