@@ -44,7 +44,7 @@ class ObserverPod:
         return with_broker_log(observation, self.test_namespace.broker_log()[log_length_before:], f"suite-{token}")
 
     def load(self, expected: Sequence[ExpectedTopic], token: str, seconds: float) -> None:
-        """Send to every input again and again for that long; InputError when the observer failed, or was ended before."""
+        """Send to every input again and again for that long; InputError when the observer failed or ended sooner."""
         sent = self._run(expected, token, seconds + self.bounds.settle, load_seconds=seconds).seconds
         if sent < seconds:
             raise InputError(f"the observer was ended after {sent:.0f} of {seconds:.0f} s")
