@@ -6,43 +6,37 @@ Nothing is kept only here: a new process reads the same from main's history and 
 from __future__ import annotations
 
 import logging
-import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import replace
 
-from robotkube.delivery.deployment.core.commit_messages import REVERT, UPDATE
+from robotkube.delivery.deployment.core.commit_messages import UPDATE
 from robotkube.delivery.deployment.core.policies.updates import PATH, UpdatePolicy, read_update_policy
-from robotkube.delivery.deployment.core.releases import RELEASES, Release, application_name, read_release
+from robotkube.delivery.deployment.core.releases import Release, application_name
 from robotkube.delivery.manager.core.composition.composer import Composition
 from robotkube.delivery.manager.core.observation import ApplicationState, judge_present
 from robotkube.delivery.manager.core.placement.placement import Fleet
 from robotkube.delivery.manager.core.plans import Change
-from robotkube.delivery.manager.core.updates import (
+from robotkube.delivery.manager.core.updates.cluster_health import (
     DEGRADED,
     HEALTHY,
     PROGRESSING,
     ClusterHealth,
-    Move,
-    Pin,
     ReleaseHealth,
-    Targets,
-    UpdateMemory,
-    Updates,
-    decide,
-    moved,
-    plan_ns,
 )
+from robotkube.delivery.manager.core.updates.memory import Pin, UpdateMemory
+from robotkube.delivery.manager.core.updates.probe_answers import ProbeAnswers, probe_answers
+from robotkube.delivery.manager.core.updates.rule_events import events_by_namespace, watchers_of
+from robotkube.delivery.manager.core.updates.steps import Move, Updates, decide, moved
+from robotkube.delivery.manager.core.updates.targets import Targets
+from robotkube.delivery.manager.loops.updates.first_runs import FirstHealthy, FirstRuns
+from robotkube.delivery.manager.loops.updates.update_history import UpdateHistory
 from robotkube.delivery.manager.ports.cluster import Cluster
 from robotkube.errors import DocumentError
-from robotkube.foundation.documents.core.patterns import COMMIT, PLAN
-from robotkube.foundation.forge.ports.repositories import Commit, DeploymentRepository
+from robotkube.foundation.forge.ports.repositories import DeploymentRepository, NoteTexts
 from robotkube.registry.catalogue.core.catalogue import Catalogue
 from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue
+from robotkube.robots.ros.core.topic_patterns import ros_name
 
-COMMITS_MAX = 10_000
-CAUSE_TRAILERS = (f"RobotKube-Cause: {UPDATE}\n", f"RobotKube-Cause: {REVERT}\n")
-PLAN_TRAILER = re.compile(rf"^RobotKube-Plan: ({PLAN.pattern})$", re.MULTILINE)
-REVERTS_TRAILER = re.compile(rf"^RobotKube-Reverts: ({COMMIT.pattern})$", re.MULTILINE)
 POSTPONEMENTS_MAX = 5
 NO_POLICY = UpdatePolicy()
 UNREADABLE = f"{PATH} cannot be read; nothing is updated"
@@ -51,54 +45,6 @@ _Inputs = tuple[Mapping[str, Release], Targets, UpdatePolicy, UpdateMemory, froz
 """The inputs of `decide`, apart from time and cluster."""
 
 log = logging.getLogger(__name__)
-
-
-class UpdateHistory:
-    """The history of updates, reverts and changes of their policy among main's newest COMMITS_MAX commits."""
-
-    def __init__(self, repository: DeploymentRepository) -> None:
-        self._repository = repository
-        self._tip = ""
-        self._memory = UpdateMemory()
-
-    def read(self, tip: str) -> UpdateMemory:
-        """The memory at main's tip, which was fetched."""
-        if tip != self._tip:
-            for commit in self._repository.touching(self._tip or None, COMMITS_MAX, PATH, CAUSE_TRAILERS):
-                self._memory = self._after(commit)
-            self._tip = tip
-        return self._memory
-
-    def _after(self, commit: Commit) -> UpdateMemory:
-        memory = self._memory.policy_changed() if PATH in commit.changes else self._memory
-        changed = _releases(commit.changes)
-        subject = commit.message.partition("\n")[0]
-        undone = self._undone(memory, commit)
-        if undone:
-            for chart in undone:
-                keys = [release.key for release in changed if release.chart == chart]
-                memory = memory.reverted(chart, keys, f"{subject} ({commit.id[:12]}); change {PATH} to try it again")
-        elif CAUSE_TRAILERS[0] in commit.message:
-            before = self._before(commit, changed)
-            for target in {(release.chart, release.version, release.digest) for release in changed}:
-                moved = [r for r in changed if (r.chart, r.version, r.digest) == target and r.key in before]
-                pins = {r.key: before[r.key] for r in moved if before[r.key][0] == r.chart}
-                memory = memory.updated(target[0], target[1:], pins, (commit.id, commit_ns(commit.message)))
-        return memory
-
-    @staticmethod
-    def _undone(memory: UpdateMemory, commit: Commit) -> list[str]:
-        """The charts whose last update the commit reverts; a revert of people's edits reverts none."""
-        named = set(REVERTS_TRAILER.findall(commit.message))
-        return [chart for chart, run in memory.runs.items() if named & set(run.commits)]
-
-    def _before(self, commit: Commit, changed: Sequence[Release]) -> Mapping[str, tuple[str, str]]:
-        """The chart and the version that the changed releases had in the commit's parent."""
-        if not commit.parents:
-            return {}
-        folders = sorted({f"{RELEASES}/{release.namespace}" for release in changed})
-        releases = _releases(self._repository.files(commit.parents[0], folders))
-        return {release.key: (release.chart, release.version) for release in releases}
 
 
 class PolicyReader:
@@ -124,7 +70,10 @@ class PolicyReader:
 class UpdatePlanner:
     """The planner of updates: the versions that the releases keep, and the one update or revert that may be made."""
 
-    def __init__(self, repository: DeploymentRepository, cluster: Cluster) -> None:
+    def __init__(self, repository: DeploymentRepository, cluster: Cluster, notes: NoteTexts | None = None) -> None:
+        """`notes` are those with the outcomes of plans, as the gate writes them."""
+        self._first_runs = FirstRuns(notes)
+        self._first_healthy = FirstHealthy()
         self._history = UpdateHistory(repository)
         self._policy = PolicyReader(repository)
         self._cluster = cluster
@@ -154,7 +103,15 @@ class UpdatePlanner:
             self._targets = Targets(catalogue.catalogue)
 
         def observe() -> ClusterHealth:
-            return cluster_health_of(present, self._cluster.applications(), fleet, held)
+            health = cluster_health_of(present, self._cluster.applications(), fleet, held)
+            about = events_by_namespace(self._cluster.rule_events(), fleet.agents)
+            return replace(
+                self._first_healthy.note(present.values(), health, now_ns),
+                events=about,
+                watchers=watchers_of(present.values(), fleet.agents),
+                probes=self._probes(present.values(), memory),
+                ros_names={agent.namespace: ros_name(agent.name) for agent in fleet.agents.values()},
+            )
 
         inputs = present, self._targets, policy or NO_POLICY, memory, self._unfit[1]
         updates = self._decided(inputs, observe, now_ns)
@@ -163,6 +120,19 @@ class UpdatePlanner:
             log.info("update text=%r", text)
         self._logged = frozenset(self.updates.messages)
         return self.updates
+
+    def _probes(self, present: Iterable[Release], memory: UpdateMemory) -> dict[str, ProbeAnswers]:
+        """The answers of probes by key, of the updated releases whose version is measured by them."""
+        answers = {}
+        losses = self._cluster.probe_losses()
+        for release in present:
+            run = memory.runs.get(release.chart)
+            version = self._targets.catalogue.version(release.chart, release.version)
+            measure = version.success if version is not None else None
+            if run is not None and release.key in run.before and measure is not None and measure.probes_of:
+                own = [loss for loss in losses if loss.release == release.key]
+                answers[release.key] = probe_answers(self._cluster.pods(release.key), own)
+        return answers
 
     def _decided(self, inputs: _Inputs, observe: Callable[[], ClusterHealth], now_ns: int) -> Updates:
         """The decision of `core.updates.decide`. When nothing is under way (then it does not call `observe`), neither
@@ -176,7 +146,8 @@ class UpdatePlanner:
             return observed[0]
 
         present, targets, policy, memory, unfit = inputs
-        updates = decide(present, targets, policy, memory, observe_and_note, now_ns, unfit)
+        updates = decide(present, targets, policy, memory, observe_and_note, now_ns, unfit, self._first_runs.ran_before)
+        self._first_runs.note(present.values(), updates.succeeded, now_ns)
         self._steady = None if observed else (inputs, updates)
         return updates
 
@@ -208,24 +179,6 @@ class UpdatePlanner:
         """Log why a move cannot be made; it is not tried again before main or catalogue change."""
         log.warning("update not made text=%r", problem)
         self._unfit = (self._unfit[0], self._unfit[1] | frozenset(move.keys))
-
-
-def _releases(files: Mapping[str, str | None]) -> list[Release]:
-    """The releases in readable release files."""
-    releases = []
-    for path, text in files.items():
-        if text is not None and path.startswith(f"{RELEASES}/") and path.endswith(".yaml"):
-            try:
-                releases.append(read_release(text, path))
-            except DocumentError as error:
-                log.warning("release of an update not read path=%s reason=%s", path, error)
-    return releases
-
-
-def commit_ns(message: str) -> int:
-    """The time at which the plan of a commit was made, by its id (ns since 1970); 0 when the message names none."""
-    match = PLAN_TRAILER.search(message)
-    return plan_ns(match[1]) if match else 0
 
 
 def cluster_health_of(
