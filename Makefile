@@ -1,6 +1,6 @@
 # Every target runs a module of ci/ or scenarios/ in the project's own Python environment (made by ci/python, kept in the cache folder).
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-fast test-thorough check bench cluster status down toolchain images lock golden reference docs
+.PHONY: help demo drive test test-fast test-thorough check bench cluster status down toolchain images lock golden reference docs
 
 PYTHON := ci/python
 # the name of a folder below scenarios/, and a variant of its scenario.yaml: make demo SCENARIO=three-vehicles VARIANT=small
@@ -11,11 +11,17 @@ SOURCE ?=
 # extra parameters, for example: make demo SET="vehicles=3 encounters=1"
 SET ?=
 
+# for how many minutes the vehicles go on driving after a demo, and with `make drive`; 0: they stand
+KEEP_DRIVING ?= 30
+
 help:           ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 demo:           ## a scenario, end to end, on the embedded cluster; the paper's use case if none is named
-	@$(PYTHON) -m scenarios.demo $(SCENARIO) $(addprefix --variant ,$(VARIANT)) $(addprefix --set ,$(SET))
+	@$(PYTHON) -m scenarios.demo $(SCENARIO) --driving $(KEEP_DRIVING) $(addprefix --variant ,$(VARIANT)) $(addprefix --set ,$(SET))
+
+drive:          ## the demo's vehicles drive once more, for KEEP_DRIVING minutes; 0 ends it
+	@$(PYTHON) -m scenarios.runner drive $(SCENARIO) --minutes $(KEEP_DRIVING) $(addprefix --variant ,$(VARIANT)) $(addprefix --set ,$(SET))
 
 test-fast:      ## the tests that start no other program: what one runs while writing
 	@$(PYTHON) -m ci.test --fast
@@ -51,7 +57,7 @@ lock:           ## write the lock files anew from operator/pyproject.toml
 	@$(PYTHON) -m ci.lock
 
 golden:         ## write the charts' golden renderings anew
-	@ROBOTKUBE_GOLDEN=write $(PYTHON) -m pytest -c operator/pyproject.toml -p no:cacheprovider operator/tests/charts/test_rendering.py operator/tests/charts/test_managers.py
+	@ROBOTKUBE_GOLDEN=write $(PYTHON) -m pytest -c operator/pyproject.toml -p no:cacheprovider operator/tests/charts/test_rendering.py operator/tests/charts/test_managers.py operator/tests/charts/test_tls.py
 
 reference:      ## write the generated pages of docs/reference anew
 	@$(PYTHON) -m ci.reference

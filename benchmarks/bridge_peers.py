@@ -19,7 +19,7 @@ from typing import Any
 
 from benchmarks.bags import POSE_TYPE, message
 from robotkube.foundation.runtime.process import PodSettings, Process, run
-from robotkube.robots.bridge.__main__ import account
+from robotkube.robots.mqtt.adapters.broker_account import read_broker_account
 from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel
 from robotkube.robots.mqtt.core.batches import decode_batch, encode_batch
 from robotkube.robots.mqtt.core.message_properties import MQTT_PREFIX
@@ -78,6 +78,9 @@ class Listener:
         """See the port."""
         raise SystemExit(f"{topic}: {reason}")
 
+    def granted(self, topic: str) -> None:
+        """See the port."""
+
     def acknowledged(self, token: int, heard: bool) -> None:
         """See the port."""
         self.unacknowledged -= 1
@@ -135,7 +138,7 @@ def ros_sink(process: Process, options: argparse.Namespace) -> Any:
 def mqtt_channel(name: str, events: Listener) -> PahoChannel:
     """A connection that is made."""
     pod = PodSettings.from_environment()
-    channel = PahoChannel(lambda: account(pod), name, 60, events)
+    channel = PahoChannel(lambda: read_broker_account(pod.broker_folder), name, 60, events)
 
     def connected() -> bool:
         channel.turn(time.monotonic())

@@ -4,14 +4,11 @@ one of `naive_bridge`. Everything else (players, broker, the cloud's bridge, the
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
 from typing import Any
 
 from benchmarks import pods
-from benchmarks.data_path import DataPath, measure
+from benchmarks.data_path import DataPath, measure_lossless
 from benchmarks.measuring import Comparison
-from ci.errors import SetUpError
 
 VEHICLES, SECONDS = 3, 14.0
 OURS = "robotkube.robots.bridge"
@@ -30,18 +27,7 @@ class NaiveDataPath(DataPath):
 
 def cpu_percent(kind: type[DataPath]) -> dict[str, float]:
     """CPU of each component in % of one core; SetUpError when poses were lost, since then the numbers say nothing."""
-    with tempfile.TemporaryDirectory(prefix="bridging-") as name:
-        folder = Path(name)
-        folder.chmod(0o755)
-        testbed = kind(folder, VEHICLES, 0, SECONDS)
-        try:
-            with testbed.api:
-                measured: dict[str, Any] = measure(testbed)
-        finally:
-            testbed.close()
-    if measured["received"] != measured["published"]:
-        raise SetUpError(f"{kind.__name__}: {measured['published']} were published, {measured['received']} arrived")
-    return dict(measured["cpu_percent"])
+    return dict(measure_lossless(lambda folder: kind(folder, VEHICLES, 0, SECONDS), kind.__name__)["cpu_percent"])
 
 
 def compare() -> list[Comparison]:

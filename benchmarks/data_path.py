@@ -16,9 +16,12 @@ import os
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from benchmarks import bags, pods
+from ci.errors import SetUpError
 from robotkube.testing.api_server import ApiServerInMemory
 
 CONNECT_SECONDS_MAX = 60.0
@@ -28,7 +31,9 @@ BRIDGE = "mqtt-bridge"
 
 
 class DataPath:
-    """All processes of one measurement."""
+    """All processes of one measurement; `encrypted`: bridges and broker speak TLS."""
+
+    encrypted = False
 
     def __init__(
         self, folder: Path, vehicles: int, lidars: int, seconds: float, clouds: bool = False, period_ms: int = 40
@@ -44,7 +49,8 @@ class DataPath:
         self.nodes = pods.Nodes()
         self.api = ApiServerInMemory("0.0.0.0")  # noqa: S104 - pods reach it at their node's gateway
         rules = {agent: pods.vehicle_rules(agent) for agent in self.agents}
-        self.broker = pods.Broker(folder / "broker", {**rules, "cloud-0": pods.CLOUD_RULES})
+        accounts = {**rules, "cloud-0": pods.CLOUD_RULES}
+        self.broker = pods.Broker(folder / "broker", accounts, encrypted=self.encrypted)
         self.pods: list[pods.Pod] = []
         self.players: dict[str, str] = {}  # agent -> address
 
@@ -243,6 +249,28 @@ def measure(testbed: DataPath) -> dict[str, object]:
         "machine_busy_percent": round(100 * (os.cpu_count() or 1) - 100 * (idle_after - idle_before) / elapsed, 1),
         **_received(testbed),
     }
+
+
+def measure_once(make: Callable[[Path], DataPath]) -> dict[str, Any]:
+    """The numbers of one run in a temporary folder, for which `make` gives the processes."""
+    with tempfile.TemporaryDirectory(prefix="data-path-") as name:
+        folder = Path(name)
+        folder.chmod(0o755)
+        testbed = make(folder)
+        try:
+            with testbed.api:
+                return dict(measure(testbed))
+        finally:
+            testbed.close()
+
+
+def measure_lossless(make: Callable[[Path], DataPath], what: str) -> dict[str, Any]:
+    """As `measure_once`; SetUpError when messages were lost, since then the numbers say nothing. `what` names the
+    run."""
+    measured = measure_once(make)
+    if measured["received"] != measured["published"]:
+        raise SetUpError(f"{what}: {measured['published']} were published, {measured['received']} arrived")
+    return measured
 
 
 def _received(testbed: DataPath) -> dict[str, object]:

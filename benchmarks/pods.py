@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ci.errors import SetUpError
+from robotkube.foundation.certificates.adapters.issuing import throw_away
 
 STOP_SECONDS_MAX = 5.0
 START_SECONDS_MAX = 10.0
@@ -229,11 +230,13 @@ def free_port() -> int:
 
 @dataclass
 class Broker:
-    """A mosquitto with accounts and ACL as the platform's chart makes them; can be stopped and started again."""
+    """A mosquitto with accounts and ACL as the platform's chart makes them; can be stopped and started again.
+    `encrypted`: it speaks TLS alone."""
 
     folder: Path
     accounts: Mapping[str, Sequence[str]]  # account -> lines of its ACL
     persistence: bool = False
+    encrypted: bool = False
     port: int = field(default_factory=free_port)
     pod: Pod | None = None
 
@@ -252,7 +255,21 @@ class Broker:
         (self.folder / "acl").write_text("\n".join(acl))
         (self.folder / "acl").chmod(0o600)
         settings = BROKER_SETTINGS.format(port=self.port, folder=self.folder, persistence=str(self.persistence).lower())
+        if self.encrypted:
+            self._certify()
+            files = f"certfile {self.folder}/tls.crt\nkeyfile {self.folder}/tls.key\n"
+            settings = settings.replace(" 0.0.0.0\n", f" 0.0.0.0\n{files}", 1)
         (self.folder / "mosquitto.conf").write_text(settings + "user root\n")
+
+    def _certify(self) -> None:
+        """A certificate for the name `broker`, whatever the address."""
+        issued = throw_away("broker")
+        for name, text in (
+            ("ca.crt", issued.authority),
+            ("tls.crt", issued.pair.certificate),
+            ("tls.key", issued.pair.key),
+        ):
+            (self.folder / name).write_text(text)
 
     def start(self) -> None:
         """Returns when it takes connections."""
@@ -275,6 +292,9 @@ class Broker:
         folder = self.folder / "secrets" / account / "broker"
         folder.mkdir(parents=True, exist_ok=True)
         values = {"username": account, "password": password(account), "host": host, "port": str(self.port)}
+        if self.encrypted:
+            authority = (self.folder / "ca.crt").read_text()
+            values |= {"tls": "required", "server_name": "broker", "ca.crt": authority}
         for key, value in values.items():
             (folder / key).write_text(value)
         return folder.parent

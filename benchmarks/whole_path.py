@@ -5,14 +5,11 @@ the messages are left out; they are the same on both sides.
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from benchmarks import pods
-from benchmarks.data_path import DataPath, measure
+from benchmarks.data_path import DataPath, measure_lossless
 from benchmarks.detecting import settings
-from ci.errors import SetUpError
 
 VEHICLES, SECONDS, HERTZ = 3, 14.0, 100
 COUNTED = ("vehicle bridges", "broker", "cloud bridge", "detector")
@@ -47,16 +44,6 @@ class NaiveDataPath(WholeDataPath):
 
 def cost(kind: type[WholeDataPath]) -> WholePath:
     """Measure one side; SetUpError when poses were lost, since then the numbers say nothing."""
-    with tempfile.TemporaryDirectory(prefix="whole-path-") as name:
-        folder = Path(name)
-        folder.chmod(0o755)
-        testbed = kind(folder, VEHICLES, 0, SECONDS)
-        try:
-            with testbed.api:
-                measured: dict[str, Any] = measure(testbed)
-        finally:
-            testbed.close()
-    if measured["received"] != measured["published"]:
-        raise SetUpError(f"{kind.__name__}: {measured['published']} were published, {measured['received']} arrived")
+    measured = measure_lossless(lambda folder: kind(folder, VEHICLES, 0, SECONDS), kind.__name__)
     each = {one: round(measured["cpu_percent"][one] * 1e4 / (VEHICLES * HERTZ), 1) for one in COUNTED}
     return WholePath(round(sum(each.values()), 1), each)

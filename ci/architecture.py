@@ -18,7 +18,7 @@ PAGE = PROJECT / "docs" / "explanation" / "architecture.md"
 SOURCE = PROJECT / "operator" / "src"
 BEGIN, END = "<!-- packages: make reference writes this -->", "<!-- packages end -->"
 FLOORS = ("delivery", "registry", "robots", "foundation")  # from above
-TOP = ("cli", "setup", "plugins")
+TOP = ("cli", "setup", "plugins", "services")
 WIDTH = 100
 
 

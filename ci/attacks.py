@@ -43,6 +43,7 @@ from ci.attack_shared import (
     VERIFIED_OTHERWISE,
 )
 from ci.attacks_around_policies import AROUND_POLICIES
+from ci.attacks_at_the_broker import AT_THE_BROKER
 from ci.attacks_on_servers import ON_SERVERS
 
 
@@ -454,6 +455,7 @@ ATTACKS = (
     ),
     *AROUND_POLICIES,
     *ON_SERVERS,
+    *AT_THE_BROKER,
     Attack(
         "exec",
         "A command is run in a container that runs (`kubectl exec`)",

@@ -7,10 +7,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from ci import markdown
-from robotkube.cli.main import commands as known_commands
+from robotkube.cli.main import add_access_arguments
 from robotkube.cli.main import parser as grammar
 from robotkube.cli.output import FORMATS
-from robotkube.cli.platform import Platform
 
 TOP = Path(__file__).resolve().parent.parent
 PAGE = TOP / "docs" / "reference" / "command-line.md"
@@ -47,7 +46,7 @@ def lines() -> Iterator[str]:
 def commands() -> Mapping[str, argparse.ArgumentParser]:
     """`<noun> <verb>` (or the noun alone) -> its parser, in the order of the help."""
     parsers: dict[str, argparse.ArgumentParser] = {}
-    for noun, parser in _choices(grammar(known_commands())).items():
+    for noun, parser in _choices(grammar()).items():
         verbs = _choices(parser)
         parsers |= {f"{noun} {verb}": inner for verb, inner in verbs.items()} if verbs else {noun: parser}
     return parsers
@@ -56,7 +55,7 @@ def commands() -> Mapping[str, argparse.ArgumentParser]:
 def common() -> list[argparse.Action]:
     """What every command takes."""
     parser = argparse.ArgumentParser(add_help=False)
-    Platform.add_arguments(parser)
+    add_access_arguments(parser)
     parser.add_argument("-o", "--output", choices=FORMATS, default="table", help="form of the data on stdout")
     return parser._actions
 

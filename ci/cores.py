@@ -82,6 +82,7 @@ def impurities(text: str, package: str) -> Iterator[tuple[int, str]]:
         elif not _may_import(one.module, one.name) or not _is_pure(one.module, one.name):
             yield one.line, f"imports {one.whole}"
     names = dict(_modules(tree))
+    compressions = frozenset(_compressions(tree))
     for node in ast.walk(tree):
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load) and node.id in REFUSED_NAMES:
             yield node.lineno, f"uses {node.id}"
@@ -93,7 +94,9 @@ def impurities(text: str, package: str) -> Iterator[tuple[int, str]]:
             function = node.func.attr if isinstance(node.func, ast.Attribute) else ""
             if len(node.args) + len(node.keywords) < ARGUMENTS_MIN.get(function, 0):
                 yield node.lineno, f"calls {function} without a time zone"
-            if _is_compression(node, names, tree) and not any(keyword.arg == "mtime" for keyword in node.keywords):
+            if _is_compression(node, names, compressions) and not any(
+                keyword.arg == "mtime" for keyword in node.keywords
+            ):
                 yield node.lineno, "calls gzip.compress without mtime, which reads the clock"
 
 
@@ -139,13 +142,14 @@ def _modules(tree: ast.AST) -> Iterator[tuple[str, str]]:
                         yield alias.asname or alias.name, whole
 
 
-def _is_compression(call: ast.Call, names: dict[str, str], tree: ast.AST) -> bool:
+def _compressions(tree: ast.AST) -> Iterator[str]:
+    """What each name that is imported of gzip is called in a text."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.module == "gzip":
+            yield from (alias.asname or alias.name for alias in node.names)
+
+
+def _is_compression(call: ast.Call, names: dict[str, str], compressions: frozenset[str]) -> bool:
     if isinstance(call.func, ast.Attribute):
         return call.func.attr == "compress" and names.get(dotted(call.func.value)) == "gzip"
-    imported = {
-        alias.asname or alias.name
-        for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and node.module == "gzip"
-        for alias in node.names
-    }
-    return isinstance(call.func, ast.Name) and call.func.id in imported
+    return isinstance(call.func, ast.Name) and call.func.id in compressions

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
-from pathlib import Path
+from pathlib import PurePath
 from typing import NamedTuple
 
 IMPORTERS = ("__import__", "importlib.import_module", "importlib.__import__", "import_module")
@@ -24,13 +24,13 @@ class Import(NamedTuple):
         return f"{self.module}.{self.name}" if self.name else self.module
 
 
-def module_name(path: Path, root: Path) -> str:
+def module_name(path: PurePath, root: PurePath) -> str:
     """What the file `path` is imported as, when `root` is where imports begin."""
     parts = path.relative_to(root).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def package_of(path: Path, root: Path) -> str:
+def package_of(path: PurePath, root: PurePath) -> str:
     """The package that relative imports of the file `path` begin at."""
     return ".".join(path.relative_to(root).parts[:-1])
 

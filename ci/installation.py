@@ -23,6 +23,7 @@ from ci.cluster.objects import SUITE_NAMESPACES
 from ci.cluster.topology import Topology
 from ci.errors import SetUpError
 from ci.folders import PROJECT
+from ci.images.services import SERVICE_NAMES
 from gitops.argocd import render
 
 NAMESPACE, GATE, ARGOCD = "robotkube", "robotkube-gate", "argocd"  # of the release, of its gate alone, of Argo CD
@@ -228,9 +229,12 @@ def platform_values(references: Mapping[str, str], topology: Topology) -> dict[s
             agent["claims"] = [{"name": "bags", "size": BAGS_SIZE}]
         agents.setdefault(node.agent, agent)
     images = {name: references[name] for name in PLATFORM_IMAGES}
+    services = {name: reference for name, reference in references.items() if name in SERVICE_NAMES}
+    others = set(references.values()) - set(services.values())  # Argo CD's among them
     return {
         "images": images,
+        **({"serviceImages": services} if services else {}),
         "agents": list(agents.values()),
         "suites": {"pool": SUITE_NAMESPACES},
-        "inspection": {"images": sorted(set(references.values()))},  # Argo CD's among them
+        "inspection": {"images": sorted(others)},
     }

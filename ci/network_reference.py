@@ -58,7 +58,10 @@ def _tables(table: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _at(edge: Mapping[str, Any]) -> str:
-    return f"TCP {edge['port']}" if "port" in edge else AT[edge["to"]]
+    if "port" not in edge:
+        return AT[edge["to"]]
+    plain = f"; in clear text {edge['plain']}" if "plain" in edge else ""
+    return f"TCP {edge['port']}{plain}"
 
 
 def write() -> Path:

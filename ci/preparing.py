@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ci import packages, preflight, toolchain
 from ci.cluster.images import Image, lock_file, read_lock
-from ci.images.building import build_images
+from ci.images.building import NAMES, build_images
 from ci.steps import Steps
 
 TOOLCHAIN_VARIABLE = "ROBOTKUBE_TOOLCHAIN_BIN"
@@ -39,7 +39,7 @@ def tool_chain() -> Path:
 def everything() -> Prepared:
     """Tool chain and images."""
     binaries = tool_chain()
-    build_images(binaries, steps=Steps(10))
+    build_images(binaries, steps=Steps(len(NAMES)))
     return Prepared(binaries, tuple(read_lock(lock_file())))
 
 

@@ -23,27 +23,31 @@ TESTS = PROJECT / "operator" / "tests" / "platform" / "table_one"
 NAMES = tuple(f"p{number:02}" for number in range(1, 11))
 WORDS = {"passed": "holds", "failed": "does not hold", "skipped": "not tried"}
 UNKNOWN = "not tried"
+MARKS = ("Example: ", "Story: ", "Asserted: ")
 ROW = re.compile(r"^\| \[(p\d\d)\].*\| ([a-z ]+) \|$", re.MULTILINE)
 HEAD = """# Design principles
 
-The ten rows of the paper's Table I, each with the paper's example told as a story on a real cluster. A story asserts on
-Git and on the cluster (pods, nodes, messages), not on the manager's answers. Written by `make reference` from the tests
-and from the results of their last run on the shared test cluster (`ci/python -m ci.test --only platform`).
+The ten rows of the paper's Table I, each with the paper's example told as a story on a real cluster, and what is
+asserted: on Git and on the cluster (pods, nodes, messages, conditions of tasks). Where a story needs a sensor, its
+messages are published on the sensor's agent, as a driver would; what crosses from one agent to another and what an
+operator decides on goes the way it always goes. Written by `make reference` from the tests and from the results of
+their last run on the shared test cluster (`ci/python -m ci.test --only platform`).
 """
 
 
 @dataclass(frozen=True)
 class Principle:
-    """One row: name of the test, the principle, the paper's example, and the story."""
+    """One row: name of the test, the principle, the paper's example, the story, and what is asserted."""
 
     name: str
     principle: str
     example: str
     story: str
+    asserted: str
 
 
 def read_principles(tests: Path = TESTS) -> tuple[Principle, ...]:
-    """The rows, in the order of the table. ValueError names a file that is missing, too many, or without its three
+    """The rows, in the order of the table. ValueError names a file that is missing, too many, or without its four
     paragraphs."""
     stories = {path.stem.removeprefix("test_"): path for path in sorted(tests.glob("test_*.py"))}
     if tuple(stories) != NAMES:
@@ -54,9 +58,9 @@ def read_principles(tests: Path = TESTS) -> tuple[Principle, ...]:
 def _principle(name: str, path: Path) -> Principle:
     text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
     parts = [" ".join(part.split()) for part in text.split("\n\n")]
-    if len(parts) != 3 or not parts[1].startswith("Example: ") or not parts[2].startswith("Story: "):
-        raise ValueError(f"{path}: its docstring must be the principle, `Example: ...` and `Story: ...`")
-    return Principle(name, parts[0], parts[1].removeprefix("Example: "), parts[2].removeprefix("Story: "))
+    if len(parts) != 1 + len(MARKS) or not all(map(str.startswith, parts[1:], MARKS)):
+        raise ValueError(f"{path}: its docstring must be the principle and paragraphs with {', '.join(MARKS)}")
+    return Principle(name, parts[0], *map(str.removeprefix, parts[1:], MARKS))
 
 
 def read_results(path: Path = RESULTS) -> dict[str, str]:
@@ -98,6 +102,7 @@ def _chapter(one: Principle) -> Iterator[str]:
     yield from (f"## {one.name}", "", one.principle, "")
     yield from (f"*The paper's example.* {one.example}", "")
     yield from (f"*The story* ([test]({test})). {one.story}", "")
+    yield from (f"*What is asserted*: {one.asserted}", "")
 
 
 def write() -> Path:

@@ -33,14 +33,15 @@ from ci import evidence
 from ci.cluster.images import Image, lock_file, read_lock
 from ci.errors import InputError, SetUpError
 from ci.folders import PROJECT
-from ci.images import bills
 from robotkube.cli.registry.submit import ACCOUNT, CATALOGUE, ForgeAccess, submit_sources
 from robotkube.errors import RobotKubeError, UnavailableError
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.forge.ports.pull_requests import PullRequest
+from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
 from robotkube.registry.catalogue.core.catalogue import read_application
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.charts.core.packing import CHART_FILE
+from robotkube.registry.images.adapters import bills
 from robotkube.registry.publication.adapters import submission_folders as sources
 from robotkube.registry.publication.loops.submitting import REFUSED, SubmissionOutcome
 from robotkube.registry.publication.ports import ChartSource, SubmittedSources
@@ -132,7 +133,7 @@ def publish_to(
             for image in first:
                 push_image(registry, image)
             pushed = [lanes.submit(push_image, registry, image) for image in others]
-            outcome = submit_sources(forge, submitted, progress, VERDICT_SECONDS_MAX, opened=_approval(accounts.person))
+            outcome = submit_sources(forge, submitted, progress, VERDICT_SECONDS_MAX, opened=approval(accounts.person))
             for push in pushed:
                 push.result()
         progress(f"{len(images)} images with their bills of materials")
@@ -166,7 +167,7 @@ def read_all(references: Mapping[str, str], kept: Path, extra: Sequence[str] = (
     return _checked([charts[key] for key in sorted(charts)], kept)
 
 
-def _approval(person: ForgeAccess | None) -> Callable[[PullRequest], None]:
+def approval(person: ForgeAccess | None) -> Callable[[PullRequest], None]:
     """The approval of a submission by `person`, of exactly the commit that was submitted."""
 
     def approve(pull: PullRequest) -> None:
@@ -175,7 +176,13 @@ def _approval(person: ForgeAccess | None) -> Callable[[PullRequest], None]:
         url = f"{person.url}/api/v1/repos/{CATALOGUE}/pulls/{pull.number}/reviews"
         review = {"event": "APPROVED", "commit_id": pull.head, "body": "What the folders of this installation have."}
         try:
-            answer = httpx.post(url, json=review, auth=(person.username, person.password), timeout=WAIT_SECONDS_MAX)
+            answer = httpx.post(
+                url,
+                json=review,
+                auth=(person.username, person.password),
+                verify=certificate_authorities(),
+                timeout=WAIT_SECONDS_MAX,
+            )
             answer.raise_for_status()
         except httpx.HTTPError as error:
             raise UnavailableError(f"{person.username} cannot approve {pull.url}: {error}") from error
@@ -214,7 +221,7 @@ def push_image(registry: OciRegistry, image: Image) -> str:
     """Push by digest to the repository that the image's reference names, with its bill of materials; the digest must
     come out the same."""
     repository = image.repository.partition("/")[2]
-    digest = _patiently(lambda: registry.push_image(repository, image.archive))
+    digest = _patiently(lambda: registry.push_image(repository, image.archive, ground=image.ground))
     if not image.reference.endswith(f"@{digest}"):
         raise InputError(f"{image.archive}: holds {digest}, the lock says {image.reference}; build the images again")
     _patiently(lambda: bills.attach_bill(registry, repository, digest, image.archive))

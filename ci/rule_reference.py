@@ -43,7 +43,8 @@ give the same event, live and from a bag. An edge knows its causes: the messages
 - **Order**: `sustained_seconds`, `minimum_interval_seconds` and `cooldown_seconds` each put the start off; it comes
   when all have passed, if the condition still holds.
 - **Scope**: of `agent` each agent has its own event (a topic without `{{agent}}` is the detector's own agent's), of
-  `pair` each two of them, of `group` all of `agents` together one, while it holds for `at_least` of them.
+  `pair` each two of them, of `group` all of `agents` together one, while it holds for `at_least` of them. A group that
+  lists no `agents` is whoever is heard of: its event has the agents for whom it holds when it begins.
 - **Silence**: an agent that sends nothing for `expire_seconds` has no event any more; the stop edge's stamp is
   the end of that time.
 - **Bounds**: {evaluators.AGENTS_MAX} agents per rule; at most {consistency.WORKERS_MAX} rules of kinds cel and python.

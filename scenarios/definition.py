@@ -7,7 +7,7 @@ before anything is started. `ScenarioError` names the file, the key and the way 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,8 @@ class ScenarioError(ValueError):
 class Parameters:
     """The numbers of a run. Rates in Hz, distances in m, speed in m/s of one vehicle; `points` is the least per
     cloud. `routes` says what is played: `pair` and `three-vehicles` meet, `intersection` passes a road-side unit,
-    `none` plays nothing and needs no other number but `vehicles`."""
+    `none` plays nothing and needs no other number but `vehicles`. `blocked_seconds`: how long the first vehicle stops
+    at the intersection since a container blocks its view of the second one; 0: there is none."""
 
     vehicles: int
     lidar_vehicles: int = 0
@@ -43,6 +44,7 @@ class Parameters:
     encounters: int = 0
     speed_mps: float = 10
     routes: str = "pair"
+    blocked_seconds: float = 0
 
 
 @dataclass(frozen=True)
@@ -302,6 +304,15 @@ def _nodes(file: Path, entries: Sequence[Mapping[str, Any]], vehicles: int) -> t
     return tuple(nodes)
 
 
+def _capabilities(entries: Sequence[str | Mapping[str, int]], index: int) -> Iterator[str]:
+    """Those of the node with this number in its entry: `lidar` is every node's, `{lidar: 2}` the first two's."""
+    for entry in entries:
+        if isinstance(entry, str):
+            yield entry
+        else:
+            yield from (name for name, count in entry.items() if index < count)
+
+
 def _node(file: Path, entry: Mapping[str, Any], index: int) -> Node:
     try:
         name, agent = entry["name"].format(index=index), entry["agent"].format(index=index)
@@ -315,5 +326,5 @@ def _node(file: Path, entry: Mapping[str, Any], index: int) -> Node:
         agent=agent,
         cpu=entry["capacity"]["cpu"],
         memory=entry["capacity"]["memory"],
-        capabilities=tuple(entry["capabilities"]),
+        capabilities=tuple(_capabilities(entry["capabilities"], index)),
     )

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ci import preparing, publish
-from ci.cluster import topology
+from ci.cluster import pulling, topology
 from ci.cluster.__main__ import overrides
 from ci.cluster.addresses import PLANS
 from ci.cluster.embedded import Embedded
@@ -24,7 +24,8 @@ from ci.steps import Steps
 from scenarios import definition
 from scenarios.definition import Scenario, ScenarioError
 from scenarios.generator import routes
-from scenarios.runner import running
+from scenarios.runner import driving, running
+from scenarios.runner.access import Access
 
 STOPS = ("cluster", "platform", "scenario")
 STEPS = {"cluster": 3, "platform": 6, "scenario": 7}
@@ -34,7 +35,8 @@ STEPS = {"cluster": 3, "platform": 6, "scenario": 7}
 class Request:
     """What is to be run: scenario folder, overrides of its parameters, cluster name, last step; `kept` is the folder of
     evidence for the publication (default: the user's cache); `variant` is a named set of parameters or steps; `values`
-    are values of the platform's chart for this cluster."""
+    are values of the platform's chart for this cluster; `driving` is for how many minutes the players go on driving
+    after the run."""
 
     scenario: Path
     settings: dict[str, str]
@@ -43,6 +45,7 @@ class Request:
     kept: Path | None = None
     variant: str | None = None
     values: Mapping[str, Any] = field(default_factory=dict)
+    driving: float = 0
 
     def settled(self) -> Scenario:
         """The scenario with its parameters; ScenarioError."""
@@ -74,6 +77,8 @@ def bring_up(request: Request, steps: Steps) -> Installer:
         installer.argocd(prepared.references())
     with steps.step("platform"):
         installer.platform(prepared.references(), wanted, values=request.values)
+        nodes = publish.find_forge(folders.kubeconfig, pulling.ACCOUNT)
+        provider.pull_from(nodes.url, nodes.username, nodes.password)
     with steps.step("catalogue") as step:
         published = publish.publish(folders.kubeconfig, step.progress, request.kept, settled.extra_charts)
         step.note = published.outcome.verdict
@@ -89,7 +94,11 @@ def run(request: Request) -> int:
         return 0
     with steps.step("scenario"):
         seconds = dict(steps.seconds)
-        return running.run(request.scenario, request.name, request.settings, request.variant, set_up_seconds=seconds)
+        code = running.run(request.scenario, request.name, request.settings, request.variant, set_up_seconds=seconds)
+    if request.driving:
+        access = Access(Embedded(request.name, Path()).kubeconfig())
+        driving.drive(access, request.settled(), request.driving, print)
+    return code
 
 
 def main() -> int:
@@ -100,10 +109,15 @@ def main() -> int:
     parser.add_argument("--variant", help="named set of parameters or steps in scenario.yaml")
     parser.add_argument("--set", action="append", default=[], metavar="PARAMETER=VALUE")
     parser.add_argument("--name", choices=sorted(PLANS), default="demo")
+    parser.add_argument("--driving", type=driving.minutes, default=0, metavar="MINUTES", help="the players go on")
     parser.add_argument("--until", choices=STOPS, default="scenario")
     given = parser.parse_args()
     try:
-        return run(Request(given.scenario, overrides(given.set), given.name, given.until, variant=given.variant))
+        settings = overrides(given.set)
+        wanted = Request(
+            given.scenario, settings, given.name, given.until, variant=given.variant, driving=given.driving
+        )
+        return run(wanted)
     except (SetUpError, ScenarioError) as error:
         print(f"error: {error}", file=sys.stderr)
         return getattr(error, "exit_code", 1)

@@ -55,7 +55,20 @@ class ReleaseState:
         return f"release {self.release} {self.state}"
 
 
-State = TaskState | TaskCount | ReleaseState
+@dataclass(frozen=True)
+class Heard:
+    """At least `at_least` messages of a topic come on an agent's node, as its services hear them."""
+
+    agent: str
+    topic: str
+    type_name: str
+    at_least: int
+
+    def __str__(self) -> str:
+        return f"{self.at_least} messages of {self.topic} heard on {self.agent}"
+
+
+State = TaskState | TaskCount | ReleaseState | Heard
 
 
 @dataclass(frozen=True)
@@ -93,4 +106,6 @@ def _state(given: Mapping[str, Any]) -> State:
         return TaskState(**given)
     if "tasks" in given:
         return TaskCount(given["tasks"], given["at_least"])
+    if "heard" in given:
+        return Heard(given["at"], given["heard"], given["type"], given["at_least"])
     return ReleaseState(given["release"], given["is"])

@@ -65,9 +65,9 @@ def policy_files(folders: ClusterFolders) -> PolicyFiles:
 
 
 def prepare(folders: ClusterFolders, topology: Topology, images: Sequence[Image]) -> Mapping[str, str]:
-    """Write settings, keys and the first policies; returns the API server's options. InputError names an image of the
-    lock without a digest."""
-    _write_settings(folders, agents_of(topology), [image.reference for image in images])
+    """Write settings, keys and the first policies; returns the API server's options. Images of services are not the
+    platform's: they run when the catalogue lists them. InputError names an image of the lock without a digest."""
+    _write_settings(folders, agents_of(topology), [image.reference for image in images if not image.ground])
     key = evidence.signing_key()
     keys = folder(folders) / "keys"
     keys.mkdir(parents=True, exist_ok=True)

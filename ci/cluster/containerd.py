@@ -22,13 +22,15 @@ STATISTICS_PERIOD_SECONDS = 300
 
 @dataclass(frozen=True)
 class Settings:
-    """Places of one containerd; `sandbox` is the pause image's reference."""
+    """Places of one containerd; `sandbox` is the pause image's reference, `hosts` the folder that says from where it
+    pulls (pulling.py)."""
 
     root: Path
     state: Path
     sandbox: str
     runc: Path
     cni: Path
+    hosts: Path
 
     def toml(self) -> str:
         """The configuration file."""
@@ -55,6 +57,8 @@ snapshotter = "overlayfs"
 stats_collect_period = {STATISTICS_PERIOD_SECONDS}
 [plugins."io.containerd.cri.v1.images".pinned_images]
 sandbox = "{self.sandbox}"
+[plugins."io.containerd.cri.v1.images".registry]
+config_path = "{self.hosts}"
 
 [plugins."io.containerd.cri.v1.runtime"]
 restrict_oom_score_adj = true  # some machines withhold the capability to lower it

@@ -34,11 +34,13 @@ SNAPSHOTS = Path("io.containerd.snapshotter.v1.overlayfs/snapshots")
 
 @dataclass(frozen=True)
 class Image:
-    """One image of the lock file: `reference` is REPOSITORY@sha256:<manifest>, `archive` an OCI layout in a tar."""
+    """One image of the lock file: `reference` is REPOSITORY@sha256:<manifest>, `archive` an OCI layout in a tar,
+    `ground` that of the image it was cut from, which has the layers that are not in `archive`."""
 
     name: str
     reference: str
     archive: Path
+    ground: Path | None = None
 
     @property
     def repository(self) -> str:
@@ -68,11 +70,13 @@ def read_lock(path: Path) -> tuple[Image, ...]:
 def _image(file: Path, name: str, entry: object) -> Image:
     if not isinstance(entry, dict) or not {"reference", "archive"} <= set(entry):
         raise InputError(f"{file}: {name}: must have reference and archive")
-    image = Image(name, str(entry["reference"]), file.parent / str(entry["archive"]))
+    ground = file.parent / str(entry["ground"]) if "ground" in entry else None
+    image = Image(name, str(entry["reference"]), file.parent / str(entry["archive"]), ground)
     if "@sha256:" not in image.reference:
         raise InputError(f"{file}: {name}.reference: {image.reference!r} must be REPOSITORY@sha256:...")
-    if not image.archive.is_file():
-        raise InputError(f"{file}: {name}.archive: {image.archive} does not exist; build the images again: make images")
+    for key, archive in (("archive", image.archive), ("ground", image.ground)):
+        if archive and not archive.is_file():
+            raise InputError(f"{file}: {name}.{key}: {archive} does not exist; build the images again: make images")
     return image
 
 
@@ -112,7 +116,8 @@ def imported(images: Sequence[Image], launcher: Launcher) -> tuple[Path, bool]:
 def _import_into(root: Path, images: Sequence[Image], launcher: Launcher) -> None:
     state = launcher.folders.base / "import"
     state.mkdir(parents=True, exist_ok=True)
-    settings = containerd.Settings(root, state, sandbox_of(images), launcher.binaries / "runc", state)
+    runc = launcher.binaries / "runc"
+    settings = containerd.Settings(root, state, sandbox_of(images), runc, state, state / "certs.d")
     configuration = state / "containerd.toml"
     configuration.write_text(settings.toml(), encoding="utf-8")
     prefix = ["/usr/bin/unshare", "--mount", "--propagation", "private"]
@@ -120,7 +125,7 @@ def _import_into(root: Path, images: Sequence[Image], launcher: Launcher) -> Non
     socket = state / "containerd.sock"
     try:
         wait_until(lambda: serving(socket, launcher.binaries), "containerd", START_TIMEOUT_SECONDS, [process])
-        for image in images:
+        for image in sorted(images, key=lambda image: image.ground is not None):  # what others are cut from first
             import_one(image, socket, launcher.binaries)
     finally:
         _stop(process)
@@ -137,7 +142,8 @@ def serving(socket: Path, binaries: Path) -> bool:
 
 
 def import_one(image: Image, socket: Path, binaries: Path) -> None:
-    """Import one archive; containerd knows it by its digest reference afterwards, or SetUpError says so."""
+    """Import one archive; containerd knows it by its digest reference afterwards, or SetUpError says so. An image with
+    a ground needs the image it was cut from to be there."""
     control = [str(binaries / "ctr"), "--address", str(socket), "--namespace", "k8s.io", "images"]
     options = ["--local", "--digests", "--base-name", image.repository]
     result = subprocess.run(

@@ -116,6 +116,7 @@ def start_containerd(node: Node, launcher: Launcher, holder: Process, sandbox: s
         sandbox=sandbox,
         runc=launcher.binaries / "runc",
         cni=cni,
+        hosts=node.folders.hosts,
     )
     configuration.write_text(settings.toml(), encoding="utf-8")
     command = ["containerd", "--config", str(configuration)]

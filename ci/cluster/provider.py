@@ -44,5 +44,8 @@ class Provider(Protocol):
     def import_images(self, images: Sequence[Image]) -> None:
         """Make images known to every node under their digest references."""
 
+    def pull_from(self, url: str, username: str, password: str) -> None:
+        """Let every node pull images of the platform's OCI registry, which is reached at `url`, with this account."""
+
     def volume_path(self, namespace: str, volume_claim: str) -> Path:
         """The host's folder behind a bound volume claim."""

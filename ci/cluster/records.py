@@ -60,6 +60,11 @@ class ClusterFolders:
         return self.base / "volumes"
 
     @property
+    def hosts(self) -> Path:
+        """From where nodes pull images (pulling.py)."""
+        return self.base / "certs.d"
+
+    @property
     def kubeconfig(self) -> Path:
         """The administrator's kubeconfig."""
         return self.base / "kubeconfig"

@@ -1,6 +1,7 @@
 """The `topology` section of a scenario.yaml, read and checked into a tuple of nodes.
 
-Every refusal names file, key and fix. Nothing is defaulted silently but `count` (1) and `capabilities` (none).
+Every refusal names file, key and fix. Nothing is defaulted silently but `count` (1) and `capabilities` (none). A
+capability `lidar` is every node's of its entry, `{lidar: 2}` that of the first two.
 """
 
 from __future__ import annotations
@@ -136,8 +137,17 @@ class _Reader:
             agent=self._label(f"{key}.agent", entry.get("agent"), index),
             cpu_millicores=self._cpu(f"{key}.capacity.cpu", capacity.get("cpu")),
             memory_bytes=self._memory(f"{key}.capacity.memory", capacity.get("memory")),
-            capabilities=tuple(self._label(f"{key}.capabilities", name, index) for name in capabilities),
+            capabilities=tuple(self._capabilities(f"{key}.capabilities", capabilities, index)),
         )
+
+    def _capabilities(self, key: str, entries: list[Any], index: int) -> Iterable[str]:
+        for entry in entries:
+            first = entry if isinstance(entry, dict) else {entry: NODES_MAX}
+            for name, count in first.items():
+                if not isinstance(count, int) or isinstance(count, bool) or not 0 <= count <= NODES_MAX:
+                    raise self.refuse(f"{key}.{name}", f"{count!r} must be how many of the first nodes have it")
+                if index < count:
+                    yield self._label(key, name, index)
 
     def _label(self, key: str, value: Any, index: int) -> str:
         if not isinstance(value, str) or not value:

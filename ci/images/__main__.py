@@ -1,5 +1,4 @@
-"""`python -m ci.images`: build the images; `python -m ci.images context NAME FOLDER`: write one image's build
-context for `docker build`."""
+"""`python -m ci.images`: build the images; `context NAME FOLDER`: one image's build context for `docker build`."""
 
 from __future__ import annotations
 
@@ -9,16 +8,18 @@ from pathlib import Path
 
 from ci import preparing
 from ci.errors import SetUpError
-from ci.images.buildah import BuildError
-from ci.images.building import build_images, cache_folder
-from ci.images.catalogue import BY_NAME, IMAGES, Sources, go_module
+from ci.images.building import NAMES, build_images, cache_folder
+from ci.images.catalogue import BY_NAME, Sources, go_module
 from ci.images.contexts import ContextError, assemble, check
+from ci.images.services import GROUND, SERVICE_NAMES
 from ci.steps import Steps
+from robotkube.errors import RobotKubeError
+from robotkube.registry.images.adapters.buildah import BuildError
 
 
 def arguments(words: list[str] | None = None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m ci.images", description=__doc__)
-    parser.add_argument("names", nargs="*", help="images to build (default: all), or: context NAME FOLDER")
+    parser.add_argument("names", nargs="*", help="images to build (default: all); or context NAME FOLDER")
     parser.add_argument(
         "--toolchain-bin",
         type=Path,
@@ -30,6 +31,10 @@ def arguments(words: list[str] | None = None) -> argparse.Namespace:
 
 
 def write_context(name: str, folder: Path, toolchain_bin: Path) -> None:
+    if name in SERVICE_NAMES:
+        raise BuildError(
+            f"{name} is cut from {GROUND}: build that by a context, and this with: python -m ci.images {name}"
+        )
     if name not in BY_NAME:
         raise BuildError(f"no such image: {name}; there are {', '.join(BY_NAME)}")
     contents = BY_NAME[name].contents(Sources(toolchain_bin, go_module))
@@ -45,9 +50,9 @@ def main() -> int:
         if given.names[:1] == ["context"] and len(given.names) == 3:
             write_context(given.names[1], Path(given.names[2]), given.toolchain_bin)
             return 0
-        steps = Steps(len(given.names) or len(IMAGES))
+        steps = Steps(len(given.names) or len(NAMES))
         built = build_images(given.toolchain_bin, given.folder, given.names, fresh=given.fresh, steps=steps)
-    except (BuildError, ContextError, SetUpError) as error:
+    except (ContextError, SetUpError, RobotKubeError) as error:
         print(f"images: {error}", file=sys.stderr)
         return getattr(error, "exit_code", 1)
     except KeyboardInterrupt:

@@ -9,41 +9,35 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
-import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from ci.images import bills, debian, machine, normalising
-from ci.images.buildah import Buildah, BuildError, require_programs
+from ci.images import cutting, debian, machine
+from ci.images.built import (
+    ARCHIVE,
+    REPOSITORY,
+    BuiltImage,
+    is_built,
+    read_built,
+    read_record,
+    write_lock,
+    write_record,
+)
 from ci.images.catalogue import BASE, BY_NAME, IMAGES, Image, Sources, go_module
 from ci.images.contexts import Copied, assemble, check, key_of
+from ci.images.debian import require_programs
+from ci.images.services import GROUND, SERVICES, Service, entry_points, modules_of, read_sources, starts
 from ci.steps import Steps
+from robotkube.registry.images.adapters import bills, normalising
+from robotkube.registry.images.adapters.buildah import Buildah, BuildError
 
-REPOSITORY = "forge.robotkube.svc.cluster.local:3000/robotkube"
 KEPT_VERSIONS = 3
+NAMES = (*BY_NAME, *(service.name for service in SERVICES))
 UMASK = 0o022
-
-
-@dataclass(frozen=True)
-class BuiltImage:
-    """An image archive on this machine: `reference` is repository@digest, `size` the bytes of its layers, `bill` its
-    software bill of materials."""
-
-    name: str
-    reference: str
-    archive: Path
-    bill: Path
-    size: int
-    layers: dict[str, int]
-
-    @property
-    def digest(self) -> str:
-        return self.reference.rpartition("@")[2]
 
 
 @dataclass(frozen=True)
@@ -77,27 +71,31 @@ def build_images(
     `toolchain_bin` holds the programs gitea, argocd, helm and ferretdb. `fresh` builds again without any cache. One
     run at a time per cache folder; a second one waits. Raises BuildError or ContextError.
     """
-    chosen = _choose(names)
+    chosen, cut = _choose(names)
     shop = Workshop(folder or cache_folder(), Sources(toolchain_bin, go_module), fresh)
     shop.folder.mkdir(parents=True, exist_ok=True)
     contents = {image.name: image.contents(shop.sources) for image in chosen}
     for name, copied in contents.items():
         check(name, copied)
     with _alone(shop.folder), _umask():
-        built = _build_all(shop, chosen, contents, steps or Steps(len(chosen)))
-        _write_lock(shop, built)
+        steps = steps or Steps(len(chosen) + len(cut))
+        built = _build_all(shop, chosen, contents, steps)
+        built |= cut_services(shop, cut, built, steps) if cut else {}
+        write_lock(shop.lock, built, NAMES)
     return built
 
 
-def _choose(names: Sequence[str]) -> tuple[Image, ...]:
-    unknown = sorted(set(names) - BY_NAME.keys())
+def _choose(names: Sequence[str]) -> tuple[tuple[Image, ...], tuple[Service, ...]]:
+    """The images to build, and those to cut from one of them; all without names."""
+    unknown = sorted(set(names) - set(NAMES))
     if unknown:
-        raise BuildError(f"no such image: {', '.join(unknown)}; there are {', '.join(BY_NAME)}")
-    wanted = {image.name for image in IMAGES if not names or image.name in names}
+        raise BuildError(f"no such image: {', '.join(unknown)}; there are {', '.join(NAMES)}")
+    cut = tuple(service for service in SERVICES if not names or service.name in names)
+    wanted = {image.name for image in IMAGES if not names or image.name in names} | ({GROUND} if cut else set())
     for image in reversed(IMAGES):
         if image.name in wanted and image.stands_on:
             wanted.add(image.stands_on)
-    return tuple(image for image in IMAGES if image.name in wanted)
+    return tuple(image for image in IMAGES if image.name in wanted), cut
 
 
 def key_of_image(image: Image, contents: tuple[Copied, ...], keys: Mapping[str, str]) -> str:
@@ -122,14 +120,14 @@ def _build_all(
             with steps.step(f"image {image.name}") as step:
                 place, cached = _provide(bench, image, contents[image.name])
                 places[image.name] = place
-                bills.ensure_bill(place / "image.tar", image.name, _record(place)["digest"])
+                bills.ensure_bill(place / ARCHIVE, image.name, read_record(place)["digest"])
                 step.note = "cached" if cached else ""
     finally:
         if bench.work.exists():
             buildah.clean()
         _clear(bench.work)
     _forget_old(shop, places, base_key)
-    return {name: _read(name, place) for name, place in places.items()}
+    return {name: read_built(name, place) for name, place in places.items()}
 
 
 @dataclass(frozen=True)
@@ -150,10 +148,48 @@ class Bench:
         return self.shop.folder / f"{name}-{self.keys[name]}"
 
 
+def cut_services(
+    shop: Workshop, cut: Sequence[Service], built: Mapping[str, BuiltImage], steps: Steps
+) -> dict[str, BuiltImage]:
+    """The images of services, cut from the one that `built` has."""
+    ground = cutting.read_ground(built[GROUND].archive)
+    files, commands = read_sources(), entry_points()
+    places: dict[str, Path] = {}
+    for service in cut:
+        with steps.step(f"image {service.name}") as step:
+            paths = modules_of(service, files, commands)
+            started = starts(service, commands)
+            key = cutting.key_of_cut(service, ground, started, {path: files[path] for path in paths})
+            place = places[service.name] = shop.folder / f"{service.name}-{key}"
+            step.note = "cached" if is_built(place) and not shop.fresh else ""
+            if not step.note:
+                _cut(shop, service, ground, started, paths, place)
+            bills.ensure_bill(place / ARCHIVE, service.name, read_record(place)["digest"], ground.archive)
+    _keep_newest(shop, places)
+    return {name: read_built(name, place, ground.archive) for name, place in places.items()}
+
+
+def _cut(
+    shop: Workshop,
+    service: Service,
+    ground: cutting.Ground,
+    started: Sequence[tuple[str, str]],
+    paths: frozenset[str],
+    place: Path,
+) -> None:
+    result = shop.folder / ".cut"
+    _clear(result)
+    result.mkdir()
+    name = f"{REPOSITORY}/{service.name}"
+    write_record(result, cutting.write_cut(service, ground, started, paths, result / ARCHIVE, name))
+    _clear(place)
+    result.rename(place)
+
+
 def _provide(bench: Bench, image: Image, contents: tuple[Copied, ...]) -> tuple[Path, bool]:
     """The folder of the image's archive, and whether it was there already."""
     place = bench.place(image.name)
-    if (place / "image.json").is_file() and not bench.shop.fresh:
+    if is_built(place) and not bench.shop.fresh:
         return place, True
     if not bench.work.exists():
         require_programs(bench.shop.folder)
@@ -185,12 +221,9 @@ def _build(bench: Bench, image: Image, tag: str, context: Path, result: Path) ->
     treatment = hashlib.sha256("\n".join([normalising.FORMAT, *sorted(lent.placeholders)]).encode()).hexdigest()
     known = {} if bench.shop.fresh else _known_layers(bench, image, treatment)
     normal = normalising.normalise_image(
-        exported, result / "image.tar", f"{REPOSITORY}/{image.name}", lent.placeholders, known
+        exported, result / ARCHIVE, f"{REPOSITORY}/{image.name}", lent.placeholders, known
     )
-    layers = {layer.digest: layer.size for layer in normal.layers}
-    record = {"digest": normal.digest, "size": normal.size, "layers": layers}
-    record |= {"treatment": treatment, "origins": dict(normal.origins)}
-    (result / "image.json").write_text(json.dumps(record, indent=1), encoding="utf-8")
+    write_record(result, normal, treatment=treatment, origins=dict(normal.origins))
 
 
 def _known_layers(bench: Bench, image: Image, treatment: str) -> dict[str, normalising.KnownLayer]:
@@ -199,13 +232,13 @@ def _known_layers(bench: Bench, image: Image, treatment: str) -> dict[str, norma
     known: dict[str, normalising.KnownLayer] = {}
     folders = [*bench.shop.folder.glob(f"{image.name}-*"), bench.place(image.stands_on or BASE.name)]
     for folder in folders:
-        record = _record(folder) if (folder / "image.json").is_file() else {}
+        record = read_record(folder) if is_built(folder) else {}
         if record.get("treatment") != treatment:
             continue
         normal_forms = {digest: digest for digest in record["layers"]}  # a normal form is its own normal form
         for origin, digest in (record["origins"] | normal_forms).items():
             blob = normalising.Blob(digest, record["layers"][digest])
-            known[origin] = normalising.KnownLayer(folder / "image.tar", blob)
+            known[origin] = normalising.KnownLayer(folder / ARCHIVE, blob)
     return known
 
 
@@ -223,40 +256,8 @@ def _provide_base(bench: Bench, image: Image, sources: Path | None) -> dict[str,
         return {}
     ground = bench.tag(image.stands_on)
     if not bench.buildah.has(ground):
-        bench.buildah.load(bench.place(image.stands_on) / "image.tar", ground)
+        bench.buildah.load(bench.place(image.stands_on) / ARCHIVE, ground)
     return {"BASE": ground}
-
-
-def _record(place: Path) -> dict[str, Any]:
-    record: dict[str, Any] = json.loads((place / "image.json").read_bytes())
-    return record
-
-
-def _read(name: str, place: Path) -> BuiltImage:
-    record = _record(place)
-    return BuiltImage(
-        name=name,
-        reference=f"{REPOSITORY}/{name}@{record['digest']}",
-        archive=place / "image.tar",
-        bill=place / bills.FILE,
-        size=record["size"],
-        layers=record["layers"],
-    )
-
-
-def _write_lock(shop: Workshop, built: dict[str, BuiltImage]) -> None:
-    """images.json names every image that is built, also those of earlier runs that this one did not touch."""
-    known = json.loads(shop.lock.read_bytes()) if shop.lock.is_file() else {}
-    kept = {name: entry for name, entry in known.items() if name in BY_NAME and Path(entry["archive"]).is_file()}
-    new = {name: _lock_entry(image) for name, image in built.items()}
-    part = shop.lock.with_suffix(".part")
-    part.write_text(json.dumps(kept | new, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-    part.replace(shop.lock)
-
-
-def _lock_entry(image: BuiltImage) -> dict[str, Any]:
-    files = {"archive": str(image.archive), "bill": str(image.bill)}
-    return {"reference": image.reference, **files, "size": image.size}
 
 
 @contextmanager
@@ -283,11 +284,15 @@ def _clear(folder: Path) -> None:
 
 def _forget_old(shop: Workshop, places: dict[str, Path], base_key: str) -> None:
     """Keep the newest versions of each image and the builder's storage of the present base only."""
-    for name, present in places.items():
-        others = [p for p in shop.folder.glob(f"{name}-*") if len(p.name) == len(present.name) and p != present]
-        for place in sorted(others, key=lambda p: p.stat().st_mtime, reverse=True)[KEPT_VERSIONS - 1 :]:
-            _clear(place)
+    _keep_newest(shop, places)
     for storage in (shop.folder / ".buildah").glob("*"):
         if storage.name != base_key:
             Buildah(storage, shop.folder / "build.log").clean()
             _clear(storage)
+
+
+def _keep_newest(shop: Workshop, places: Mapping[str, Path]) -> None:
+    for name, present in places.items():
+        others = [p for p in shop.folder.glob(f"{name}-*") if len(p.name) == len(present.name) and p != present]
+        for place in sorted(others, key=lambda p: p.stat().st_mtime, reverse=True)[KEPT_VERSIONS - 1 :]:
+            _clear(place)

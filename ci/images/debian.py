@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import hashlib
+import os
+import shutil
 import tempfile
 from pathlib import Path
 
-from ci.images.buildah import Buildah, run_logged
-from ci.images.normalising import EPOCH_SECONDS
+from robotkube.registry.images.adapters.buildah import Buildah, BuildError, run_logged
+from robotkube.registry.images.adapters.normalising import EPOCH_SECONDS
 
 TAG = "docker.io/library/debian:bookworm-slim"
 ROOT_SECONDS_MAX = 600
+FREE_BYTES_MIN = 6_000_000_000
 LEFT_OUT = ("/usr/share/doc/*", "/usr/share/man/*", "/usr/share/locale/*", "/usr/share/info/*", "/usr/share/lintian/*")
 OPTIONS = (
     "--variant=apt",
@@ -53,3 +56,16 @@ def make(buildah: Buildah, sources: Path | None) -> None:
         run_logged(command, buildah.log, ROOT_SECONDS_MAX, {"SOURCE_DATE_EPOCH": str(EPOCH_SECONDS)})
         (Path(folder) / "Dockerfile").write_text("FROM scratch\nADD root.tar /\n", encoding="utf-8")
         buildah.build(Path(folder), Path(folder) / "Dockerfile", TAG, {}, (), fresh=False)
+
+
+def require_programs(folder: Path) -> None:
+    """Say what the machine lacks for building in `folder` before anything is started."""
+    missing = [name for name in ("buildah", "mmdebstrap") if shutil.which(name) is None]
+    if missing:
+        packages = " ".join(missing)
+        raise BuildError(f"missing: {packages}; apt-get install -y --no-install-recommends {packages}")
+    if os.geteuid() != 0:
+        raise BuildError("building images needs root (overlay mounts and chroot); run as root")
+    free = shutil.disk_usage(folder).free
+    if free < FREE_BYTES_MIN:
+        raise BuildError(f"{folder}: {free / 1e9:.1f} GB free, building images needs {FREE_BYTES_MIN / 1e9:.0f} GB")

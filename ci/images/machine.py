@@ -14,13 +14,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from robotkube.registry.images.adapters.normalising import MADE_BY_BUILDER
+
 MOUNTED = "/mnt/robotkube-build"
 CERTIFICATES = f"{MOUNTED}/certificates.crt"
 CERTIFICATE_VARIABLES = ("PIP_CERT", "SSL_CERT_FILE", "REQUESTS_CA_BUNDLE", "CURL_CA_BUNDLE")
 HOST_CERTIFICATES = Path("/etc/ssl/certs/ca-certificates.crt")
-MADE_BY_BUILDER = frozenset(
-    {"etc/resolv.conf", "etc/hosts", "etc/hostname", "run/.containerenv", "run/secrets", "dev", "proc", "sys"}
-)
 APT_FILE, PIP_FILE = "etc/apt/apt.conf.d/zz-robotkube-build", "etc/pip.conf"
 
 

@@ -112,9 +112,6 @@ class Suite:
 
     name, version = StaticSuite.name, StaticSuite.version
 
-    def __init__(self, *tools: object) -> None:
-        pass
-
     def run(self, subject: Subject, namespace: object) -> list[Check]:
         """One check."""
         return [Check("files", True)]
@@ -185,7 +182,7 @@ def _without_programs(registry: MemoryChartRegistry) -> Any:
         run_process,
         OciRegistry=lambda *account: nullcontext(registry),
         HelmProgram=lambda *place: None,
-        StaticSuite=Suite,
+        static_suite=Suite,
     )
 
 

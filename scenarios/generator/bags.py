@@ -157,12 +157,13 @@ def _lidar(parameters: Parameters, agent: str, number: int) -> Iterator[Message]
         routes.motion(parameters, index, stamps / messages.NANOSECONDS)
         for index in (number, *(index for index in range(parameters.vehicles) if index != number))
     )
+    obstacles = routes.obstacles(parameters)
     writer, topic, random = messages.CloudWriter(frame, len(rays)), cloud_topic(agent), np.random.default_rng(number)
     for index, stamp in enumerate(stamps.tolist()):
         noise = random.standard_normal(len(rays), np.float32) * np.float32(scene.NOISE_M)
         place = _place(own, index)
         near = [_place(other, index) for other in others if _within(place, _place(other, index))]
-        yield topic, stamp, writer.message(stamp, scene.cast(rays, mount, place, near, noise))
+        yield topic, stamp, writer.message(stamp, scene.cast(rays, mount, place, near, noise, obstacles))
 
 
 def _mount(parameters: Parameters, number: int) -> scene.Mount:

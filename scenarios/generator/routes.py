@@ -29,8 +29,9 @@ from scenarios.generator.drives import (
     opposite,
     straight,
 )
+from scenarios.generator.scene import Obstacle
 
-__all__ = ["Motion", "distance", "duration_seconds", "encounter_seconds", "motion"]
+__all__ = ["Motion", "distance", "duration_seconds", "encounter_seconds", "motion", "obstacles"]
 
 ENCOUNTER_SECONDS_MIN = 20.0  # 8 to deploy, 12 to record
 OTHERS_SPACING_M = 150.0
@@ -56,6 +57,11 @@ def motion(parameters: Parameters, index: int, times: Floats) -> Motion:
         first = drive(_phases(parameters), -(parameters.start_distance_m / 2 + _lead_in_m(parameters)), times)
         return opposite(first) if index else first
     return _circling(parameters, index, times)
+
+
+def obstacles(parameters: Parameters) -> tuple[Obstacle, ...]:
+    """What stands in the way of the lidars' rays besides walls and vehicles."""
+    return intersection.obstacles(parameters) if parameters.routes == INTERSECTION else ()
 
 
 def _lead_in_m(parameters: Parameters) -> float:

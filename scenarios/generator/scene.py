@@ -1,7 +1,8 @@
-"""What a lidar sees: flat ground, walls along the road with gaps between them, and other vehicles as boxes.
+"""What a lidar sees: flat ground, walls along the road with gaps between them, other vehicles and obstacles as boxes.
 
-Every ray points below the horizon and so hits something; a cloud always has the same number of points. Frames: `map`;
-a vehicle's frame (origin on the ground at its centre, x ahead); the lidar's frame (offset and yaw against the
+Every ray points below the horizon and so hits something; a cloud always has the same number of points. A ray ends at
+what it hits first: of a vehicle behind an obstacle only those points are in the cloud that are in plain view. Frames:
+`map`; a vehicle's frame (origin on the ground at its centre, x ahead); the lidar's frame (offset and yaw against the
 vehicle's).
 """
 
@@ -49,6 +50,15 @@ class Place:
     yaw: float
 
 
+@dataclass(frozen=True)
+class Obstacle:
+    """A thing that stands in the way of rays, such as a container: a box on the ground of this length, width and
+    height, which reflects as a wall does."""
+
+    place: Place
+    size_m: tuple[float, float, float]
+
+
 def ray_directions(points_min: int) -> Floats32:
     """Unit vectors of all rays in the lidar's frame, (n, 3) with n the next multiple of 32 from `points_min`."""
     columns = math.ceil(points_min / CHANNELS)
@@ -62,7 +72,14 @@ def ray_directions(points_min: int) -> Floats32:
     return rays.reshape(-1, 3).astype(np.float32)
 
 
-def cast(rays: Floats32, mount: Mount, own: Place, others: Iterable[Place], noise: Floats32) -> Floats32:
+def cast(
+    rays: Floats32,
+    mount: Mount,
+    own: Place,
+    others: Iterable[Place],
+    noise: Floats32,
+    obstacles: Iterable[Obstacle] = (),
+) -> Floats32:
     """The cloud one revolution gives: (n, 4) of x, y, z in m in the lidar's frame and intensity.
 
     `noise` holds one deviation of the range in m per ray.
@@ -75,8 +92,11 @@ def cast(rays: Floats32, mount: Mount, own: Place, others: Iterable[Place], nois
     intensity = np.full(len(rays), GROUND, np.float32)
     along_x, along_y = _turned(rays, own.yaw + mount.yaw)
     _nearest(ranges, intensity, _wall_ranges(origin, mount.z, along_x, along_y, rays[:, 2]), WALL)
-    for other in others:
-        _nearest(ranges, intensity, _box_ranges(origin, mount.z, rays, own.yaw + mount.yaw, other), VEHICLE)
+    boxes = [(other, VEHICLE_SIZE_M, VEHICLE) for other in others]
+    boxes += [(obstacle.place, obstacle.size_m, WALL) for obstacle in obstacles]
+    for box, size_m, reflected in boxes:
+        hit = _box_ranges(origin, mount.z, rays, own.yaw + mount.yaw, box, size_m)
+        _nearest(ranges, intensity, hit, reflected)
     cloud = np.empty((len(rays), 4), np.float32)
     cloud[:, :3] = rays * (ranges + noise)[:, None]
     cloud[:, 3] = intensity
@@ -107,19 +127,26 @@ def _wall_ranges(
     return np.where(hit, ranges, np.float32(np.inf))
 
 
-def _box_ranges(origin: tuple[float, float], height: float, rays: Floats32, heading: float, box: Place) -> Floats32:
-    """Range to the other vehicle's box by the slab method, infinite where the ray misses it."""
+def _box_ranges(
+    origin: tuple[float, float],
+    height: float,
+    rays: Floats32,
+    heading: float,
+    box: Place,
+    size_m: tuple[float, float, float],
+) -> Floats32:
+    """Range to a box by the slab method, infinite where the ray misses it."""
     dx, dy = origin[0] - box.x, origin[1] - box.y
     start = (
         math.cos(box.yaw) * dx + math.sin(box.yaw) * dy,
         -math.sin(box.yaw) * dx + math.cos(box.yaw) * dy,
-        height - VEHICLE_SIZE_M[2] / 2,
+        height - size_m[2] / 2,
     )
     along = (*_turned(rays, heading - box.yaw), rays[:, 2])
     entry, leave = np.zeros(len(rays), np.float32), np.full(len(rays), np.inf, np.float32)
     with np.errstate(divide="ignore", invalid="ignore"):
         for axis in range(3):
-            half = VEHICLE_SIZE_M[axis] / 2
+            half = size_m[axis] / 2
             low, high = (-half - start[axis]) / along[axis], (half - start[axis]) / along[axis]
             np.maximum(entry, np.minimum(low, high), out=entry)
             np.minimum(leave, np.maximum(low, high), out=leave)

@@ -14,12 +14,21 @@ from typing import Any
 
 from kubernetes import client, config
 from kubernetes.client.exceptions import ApiException
+from kubernetes.stream import stream
 
+from robotkube.robots.mqtt.adapters.broker_account import (
+    REQUIRED,
+    SERVER_NAME,
+    TLS,
+    BrokerAccount,
+    read_broker_account,
+)
 from scenarios.runner.waiting import RunError
 
 PLATFORM, GATE, ARGOCD = "robotkube", "robotkube-gate", "argocd"  # of the platform, of its gate alone, of Argo CD
 ANSWER_SECONDS_MAX = 10
 CONFIGMAP = "simulation"
+AUTHORITIES_MAP = "robotkube-ca"
 HEALTH_PORT = 8081
 APPLICATIONS = ("argoproj.io", "v1alpha1", ARGOCD, "applications")
 TASKS = ("robotkube.io", "v1alpha1", "taskdescriptions")
@@ -68,10 +77,37 @@ class Access:
         service = self._call(self.core.read_namespaced_service, f"service {namespace}/{name}", name, namespace)
         return Endpoint(service.spec.cluster_ip, service.spec.ports[0].port)
 
-    def put_simulation(self, namespace: str, run: str, start: int) -> None:
-        """Makes or replaces the ConfigMap that starts a vehicle's player. `start` in ns since 1970."""
+    def broker_account(self, secret: str, folder: Path) -> BrokerAccount:
+        """An account of the platform at the broker, and how that proves who it is; by files in `folder`, as a pod has
+        them mounted. From this machine names of Services are not resolved: the address is the broker's, the name in its
+        certificate that of the Secret."""
+        values, broker = self.secret(PLATFORM, secret), self.endpoint("broker")
+        folder.chmod(0o700)
+        at = {"host": broker.host, "port": str(broker.port), SERVER_NAME: values["host"]}
+        authorities = self.configmap(PLATFORM, AUTHORITIES_MAP) if values.get(TLS) == REQUIRED else {}
+        for name, text in {**values, **at, **authorities}.items():
+            (folder / name).write_text(text)
+        return read_broker_account(folder)
+
+    def simulation(self, namespace: str) -> dict[str, str]:
+        """What a vehicle's player was told to play; empty without an order."""
+        listed = self.core.list_namespaced_config_map
+        maps = self._call(listed, f"ConfigMaps of {namespace}", namespace, field_selector=f"metadata.name={CONFIGMAP}")
+        return dict(maps.items[0].data or {}) if maps.items else {}
+
+    def remove_simulation(self, namespace: str) -> None:
+        """Takes a player's order back: it is silent from then on."""
+        if self.simulation(namespace):
+            delete = self.core.delete_namespaced_config_map
+            self._call(delete, f"configmap {namespace}/{CONFIGMAP}", CONFIGMAP, namespace)
+
+    def put_simulation(self, namespace: str, run: str, start: int, laps: int = 1, lap: int = 0) -> None:
+        """Makes or replaces the ConfigMap that starts a vehicle's player. `start` in ns since 1970; with several `laps`
+        one begins each `lap` ns."""
+        driving = {"laps": str(laps), "lap": str(lap)} if laps > 1 else {}
         body = client.V1ConfigMap(
-            metadata=client.V1ObjectMeta(name=CONFIGMAP, namespace=namespace), data={"run": run, "start": str(start)}
+            metadata=client.V1ObjectMeta(name=CONFIGMAP, namespace=namespace),
+            data={"run": run, "start": str(start), **driving},
         )
         try:
             self.core.replace_namespaced_config_map(CONFIGMAP, namespace, body, _request_timeout=ANSWER_SECONDS_MAX)
@@ -88,6 +124,20 @@ class Access:
         """The pods of all releases."""
         listed = self.core.list_pod_for_all_namespaces
         return list(self._call(listed, "pods of all agents", label_selector="robotkube.io/agent").items)
+
+    def run_inside(self, namespace: str, pod: str, command: Sequence[str], seconds: float) -> str:
+        """What a command in a pod's container prints, for at most so long. It has a connection of its own, since a
+        stream changes what the others on its connection do."""
+        own = config.new_client_from_config(str(self.kubeconfig))
+        run = client.CoreV1Api(own).connect_get_namespaced_pod_exec
+        options = {"command": list(command), "stdin": False, "stdout": True, "stderr": False, "tty": False}
+        try:
+            return str(stream(run, pod, namespace, _request_timeout=seconds, **options))
+        except (ApiException, AttributeError, OSError) as error:
+            refusal = error.__context__ if isinstance(error, AttributeError) else error  # it reads a body that is None
+            raise RunError(f"pod {namespace}/{pod}: {command[0]} cannot be run in it: {refusal}") from error
+        finally:
+            own.close()
 
     def delete_pod(self, namespace: str, name: str) -> None:
         """Ends a pod; its Deployment makes another one."""
@@ -147,6 +197,10 @@ class Access:
     def tasks(self) -> Sequence[Any]:
         """All tasks."""
         return list(self._call(self.objects.list_cluster_custom_object, "tasks", *TASKS)["items"])
+
+    def tasks_of_rule(self, rule: str) -> Sequence[str]:
+        """Namespace and name of each task that an event of the rule asks for; none without a rule."""
+        return ["/".join(_key(task)) for task in self.tasks() if rule and task["spec"]["event"]["rule"] == rule]
 
     def task(self, namespace: str, name: str) -> Any:
         """A task, or None."""

@@ -9,10 +9,11 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from robotkube.foundation.documents.core.times import time_text
+from scenarios.runner import listening
 from scenarios.runner.access import Access
 from scenarios.runner.inputs import Plan, StepDone
 from scenarios.runner.waiting import wait_for
-from scenarios.steps import ABSENT, MAIN, ReleaseState, State, Step, TaskCount, TaskState
+from scenarios.steps import ABSENT, MAIN, Heard, ReleaseState, State, Step, TaskCount, TaskState
 
 POLL_SECONDS = 0.5
 REQUESTER = "operator-team/scenario"
@@ -80,6 +81,9 @@ class Actor:
             tasks = [task for task in self.access.tasks() if task["metadata"]["namespace"] == state.namespace]
             accepted = [task for task in tasks if _condition(task, "Accepted").get("status") == "True"]
             return len(accepted) >= state.at_least if state.at_least else not tasks
+        if isinstance(state, Heard):
+            messages = listening.heard(self.access, state.agent, state.topic, state.type_name, state.at_least)
+            return len(messages) >= state.at_least
         return self._release_is(state)
 
     def _release_is(self, state: ReleaseState) -> bool:

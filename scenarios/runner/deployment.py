@@ -18,6 +18,7 @@ import httpx
 import pygit2
 import yaml
 
+from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
 from scenarios.runner.access import Endpoint
 from scenarios.runner.inputs import NANOSECONDS, Commit, MainState, PullRequest
 from scenarios.runner.waiting import RunError
@@ -59,7 +60,10 @@ class Deployment:
         self._name = name
         self._url = f"http://{forge.host}:{forge.port}"
         self._client = httpx.Client(
-            base_url=f"{self._url}/api/v1/repos/{name}", auth=(username, password), timeout=ANSWER_SECONDS_MAX
+            base_url=f"{self._url}/api/v1/repos/{name}",
+            auth=(username, password),
+            verify=certificate_authorities(),
+            timeout=ANSWER_SECONDS_MAX,
         )
         self._callbacks = _Account(username, password)
         self._folder = tempfile.TemporaryDirectory(prefix="deployment-")

@@ -35,7 +35,7 @@ def commands(scenario: Scenario, kubeconfig: Path, forge: Endpoint) -> Iterator[
     yield "what Argo CD runs", "kubectl -n argocd get applications"
     yield "what was planned, with times and pull requests", f"{ROBOTKUBE} plan list"
     yield "what main asks for and what the cluster shows", f"{ROBOTKUBE} release list"
-    yield "tasks (none after a run)", f"{ROBOTKUBE} task list"
+    yield "tasks (one while two vehicles that drive on are near each other)", f"{ROBOTKUBE} task list"
     if agent:
         yield "what was recorded", f"{ROBOTKUBE} recording list"
         yield (

@@ -14,6 +14,8 @@ from kubernetes import watch
 from paho.mqtt import client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
+from robotkube.foundation.certificates.adapters.verification import client_context, sentence
+from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.core.batches import BatchError, decode_batch
 from scenarios.runner.access import Access
 from scenarios.runner.inputs import BrokerLog, BrokerMessages, BrokerResult, Pod
@@ -34,10 +36,7 @@ class BrokerObserver:
     """Counts the clouds that cross the broker, batch by batch, and keeps the results of perception. Used with `start`
     and `stop`."""
 
-    host: str
-    port: int
-    username: str
-    password: str
+    account: BrokerAccount
     _messages: list[BrokerMessages] = field(default_factory=list)
     _results: list[BrokerResult] = field(default_factory=list)
     _subscribed: threading.Event = field(default_factory=threading.Event)
@@ -48,19 +47,23 @@ class BrokerObserver:
     def start(self) -> None:
         """Connects and subscribes; raises `RunError` when the broker refuses it."""
         self._client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id=f"observer-{time.time_ns()}")
-        self._client.username_pw_set(self.username, self.password)
+        self._client.username_pw_set(self.account.username, self.account.password)
+        if self.account.tls is not None:
+            self._client.tls_set_context(client_context(self.account.tls))
         self._client.on_connect = self._on_connect
         self._client.on_disconnect = self._on_disconnect
         self._client.on_subscribe = self._on_subscribe
         self._client.on_message = self._on_message
+        broker = f"broker {self.account.host}:{self.account.port}"
         try:
-            self._client.connect(self.host, self.port, keepalive=20)
+            self._client.connect(self.account.host, self.account.port, keepalive=20)
         except OSError as error:
-            raise RunError(f"broker {self.host}:{self.port}: {error}") from error
+            words = error if self.account.tls is None else sentence(error, self.account.tls)
+            raise RunError(f"{broker}: {words}") from error
         self._client.loop_start()
         if not self._subscribed.wait(CONNECT_SECONDS_MAX):
             self._client.loop_stop()
-            raise RunError(f"broker {self.host}:{self.port}: did not let {self.username} subscribe to {CLOUDS}")
+            raise RunError(f"{broker}: did not let {self.account.username} subscribe to {CLOUDS}")
 
     def stop(self) -> BrokerLog:
         """Ends; returns what was seen."""

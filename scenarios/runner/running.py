@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from ci.cluster import cgroups
@@ -16,7 +17,7 @@ from ci.folders import PROJECT
 from scenarios import definition
 from scenarios.definition import Scenario, cloud_topic, pose_topic
 from scenarios.generator import bags, checking, routes
-from scenarios.runner import collecting, evidence, inspection, policy, proposing, report, timeline
+from scenarios.runner import collecting, driving, evidence, inspection, policy, proposing, report, timeline
 from scenarios.runner.access import PLATFORM, Access
 from scenarios.runner.acting import Actor, merge_plans
 from scenarios.runner.cpu import CpuSampler
@@ -129,12 +130,12 @@ def _run(scenario: Scenario, cluster: str, made: Mapping[str, Path], seconds: di
     provider = Embedded(cluster, Path())
     access = Access(provider.kubeconfig())
     _check_nodes(scenario, provider)
-    broker, account = access.endpoint("broker"), access.secret("robotkube", "broker-account-observer")
     forge, story = access.endpoint("forge"), scenario.story
     account_of_person, approver = access.forge_account(story.person), access.forge_account(story.approver)
     with (
         Deployment(forge, *account_of_person, approver=approver) as deployment,
         Deployment(forge, *account_of_person, CATALOGUE) as catalogue,
+        TemporaryDirectory(prefix="robotkube-observer-") as mounted,
     ):
         actor = Actor(access, provider, releases=lambda: _fetched(deployment), progress=_print_progress)
         going = Run(
@@ -143,7 +144,7 @@ def _run(scenario: Scenario, cluster: str, made: Mapping[str, Path], seconds: di
             volumes=provider,
             deployment=deployment,
             catalogue=catalogue,
-            observer=BrokerObserver(broker.host, broker.port, account["username"], account["password"]),
+            observer=BrokerObserver(access.broker_account("broker-account-observer", Path(mounted))),
             pods=PodWatch(access, [node.agent for node in scenario.nodes], _print_progress),
             tasks=TaskWatch(access, _print_progress),
             sampler=CpuSampler(cpu_root(cluster)),
@@ -211,6 +212,7 @@ def _note(going: Run, error: Exception) -> None:
 
 def prepare(going: Run, made: Mapping[str, Path]) -> None:
     """Bags into the volume claims, the person's pull request, all releases ready; nothing is played yet."""
+    driving.stop(going.access, going.scenario, going.progress)
     began = time.monotonic()
     going.volume_folders = place_bags(going.access, going.volumes, made, going.progress)
     ask(going)

@@ -63,6 +63,5 @@ port: {{ include "robotkube.databasePort" .root | quote }}
 {{- define "robotkube.brokerAccount" -}}
 username: {{ .agent.name }}
 password: {{ include "robotkube.password" (dict "root" .root "purpose" "broker" "account" .agent.name) }}
-host: {{ include "robotkube.brokerHost" .root }}
-port: {{ include "robotkube.brokerPort" .root | quote }}
+{{ include "robotkube.brokerEndpoint" .root }}
 {{- end }}

@@ -1,15 +1,24 @@
 {{- define "robotkube.brokerConfiguration" -}}
-listener 1883
 allow_anonymous false
-password_file /run/mosquitto/passwords
-acl_file /run/mosquitto/acl
+{{- if include "robotkube.encrypted" . }}
+listener 8883
+certfile /etc/mosquitto-tls/tls.crt
+keyfile /etc/mosquitto-tls/tls.key
+{{- end }}
+{{- if include "robotkube.plain" . }}
+# In clear text, by a value that asks for it.
+listener 1883
+{{- end }}
+# Accounts and rights: begun by the pod's init container, then kept by the process `rights`, as main has them.
+plugin {{ .Values.broker.plugin | default "mosquitto_dynamic_security.so" }}
+plugin_opt_config_file /run/mosquitto/dynamic-security.json
 set_tcp_nodelay true
 max_inflight_messages {{ .Values.broker.limits.inflightMessages | int64 }}
 max_queued_messages {{ .Values.broker.limits.queuedMessages | int64 }}
 max_queued_bytes {{ .Values.broker.limits.queuedBytes | int64 }}
 message_size_limit {{ .Values.broker.limits.messageBytes | int64 }}
 queue_qos0_messages false
-# Nothing is written to disk: bridges resend what was not acknowledged and publish retained messages again when they reconnect.
+# No message is written to disk: bridges resend what was not acknowledged and publish retained messages again when they reconnect.
 persistence false
 sys_interval 0
 connection_messages false
@@ -19,42 +28,9 @@ log_type warning
 log_type notice
 {{- end }}
 
-{{- /* Without a matching line everything is refused. */ -}}
-{{- define "robotkube.brokerRules" -}}
-user observer
-topic read mqtt/#
-topic read robotkube/types/mqtt/#
-topic read mqtt_client/ros_msg_type/mqtt/#
-{{- range .Values.agents }}
-
-user {{ .name }}
-{{- if has .role (list "vehicle" "roadside") }}
-{{- $own := printf "mqtt/vehicles/%s/#" (include "robotkube.ros" .name) }}
-topic readwrite {{ $own }}
-topic readwrite robotkube/types/{{ $own }}
-topic readwrite mqtt_client/ros_msg_type/{{ $own }}
-{{- else }}
-topic read mqtt/#
-topic read robotkube/types/mqtt/#
-topic read mqtt_client/ros_msg_type/mqtt/#
-{{- end }}
-topic write robotkube/tasks/{{ .name }}
-topic read robotkube/task_status/{{ .name }}
-topic write robotkube/holds/{{ .name }}
-{{- end }}
-{{- range $manager := fromYamlArray (include "robotkube.managers" .) }}
-
-user {{ .name }}
-{{- range (has "*" .scope.agents) | ternary (list "#") .scope.agents }}
-topic read robotkube/tasks/{{ . }}
-topic write robotkube/task_status/{{ . }}
-topic read robotkube/holds/{{ . }}
-{{- end }}
-{{- end }}
-{{- end }}
-
 {{- define "robotkube.brokerPasswords" -}}
 observer:{{ include "robotkube.password" (dict "root" . "purpose" "broker" "account" "observer") }}
+rights:{{ include "robotkube.password" (dict "root" . "purpose" "broker" "account" "rights") }}
 {{- range .Values.agents }}
 {{ .name }}:{{ include "robotkube.password" (dict "root" $ "purpose" "broker" "account" .name) }}
 {{- end }}

@@ -91,7 +91,7 @@ oci://{{ include "robotkube.forgeHost" .root }}/{{ .organisation }}
 {{- end }}
 
 {{- define "robotkube.brokerPort" -}}
-{{ eq .Values.broker.kind "external" | ternary .Values.broker.external.port 1883 | int }}
+{{ eq .Values.broker.kind "external" | ternary .Values.broker.external.port (include "robotkube.encrypted" . | eq "true" | ternary 8883 1883) | int }}
 {{- end }}
 
 {{- define "robotkube.databaseHost" -}}

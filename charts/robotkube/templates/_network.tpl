@@ -30,6 +30,8 @@
 {{- if not (include "robotkube.inspection" . | fromYaml).enabled }}{{ $_ := set $found "inspector" list }}{{ end }}
 {{- if not (include "robotkube.remover" . | fromYaml).enabled }}{{ $_ := set $found "remover" list }}{{ end }}
 {{- if not .Values.admission.enabled }}{{ $_ := set $found "admission" list }}{{ end }}
+{{- if not (include "robotkube.rights" . | fromYaml).enabled }}{{ $_ := set $found "rights" list }}{{ end }}
+{{- if not (include "robotkube.certificatesMade" .) }}{{ $_ := set $found "certificates" list }}{{ end }}
 {{- if .Values.evidence.existingSecret }}{{ $_ := set $found "gate-key" list }}{{ end }}
 {{- $_ := set $found "collector" list }}
 {{- with .Values.traces.endpoint }}{{ $_ := set $found "collector" (list (include "robotkube.portOfUrl" . | int)) }}{{ end }}
@@ -46,6 +48,16 @@
 {{- $labels := .party.labels | default dict }}
 {{- with .party.component }}{{ $labels = dict "app.kubernetes.io/component" . "app.kubernetes.io/instance" $.root.Release.Name }}{{ end }}
 {{- if $labels }}{matchLabels: {{ toJson $labels }}}{{ else }}{}{{ end }}
+{{- end }}
+
+{{- /* The ports of an edge: that for clear text only where somebody asks for it. Arguments: {root, edge}. JSON. */ -}}
+{{- define "robotkube.networkEdgePorts" -}}
+{{- $ports := list .edge.port }}
+{{- with .edge.plain }}
+{{- if not (include "robotkube.encrypted" $.root) }}{{ $ports = list }}{{ end }}
+{{- if include "robotkube.plain" $.root }}{{ $ports = append $ports . }}{{ end }}
+{{- end }}
+{{- toJson $ports }}
 {{- end }}
 
 {{- define "robotkube.networkPorts" -}}
@@ -80,7 +92,7 @@
 - from: [{podSelector: {}}]
 {{- else if and $peers .edge.port }}
 - from: {{- toYaml $peers | nindent 2 }}
-  ports: {{ include "robotkube.networkPorts" (dict "protocol" "TCP" "ports" (list .edge.port)) }}
+  ports: {{ include "robotkube.networkPorts" (dict "protocol" "TCP" "ports" (include "robotkube.networkEdgePorts" . | fromJsonArray)) }}
 {{- end }}
 {{- end }}
 
@@ -119,7 +131,7 @@
 {{- else }}
 {{- with include "robotkube.networkPeer" (dict "root" .root "party" (index .table.parties $to) "namespaces" .namespaces) }}
 - to: {{- . | nindent 2 }}
-  ports: {{ include "robotkube.networkPorts" (dict "protocol" "TCP" "ports" (list $.edge.port)) }}
+  ports: {{ include "robotkube.networkPorts" (dict "protocol" "TCP" "ports" (include "robotkube.networkEdgePorts" $ | fromJsonArray)) }}
 {{- end }}
 {{- end }}
 {{- end }}

@@ -3,7 +3,7 @@
 {{- define "robotkube.refusals" -}}
 {{- $problems := list }}
 {{- $roles := list "cloud" "edge" "roadside" "vehicle" }}
-{{- $taken := list .Release.Namespace (include "robotkube.gateNamespace" .) .Values.argocd.namespace "default" "kube-system" "kube-public" "kube-node-lease" }}
+{{- $taken := list .Release.Namespace (include "robotkube.gateNamespace" .) .Values.argocd.namespace "default" "kube-system" "kube-public" "kube-node-lease" "observer" "rights" }}
 {{- if .Values.suites.enabled }}{{ range $i := until (int .Values.suites.pool) }}{{ $taken = append $taken (include "robotkube.testNamespace" $i) }}{{ end }}{{ end }}
 {{- $seen := list }}
 {{- range $i, $agent := .Values.agents }}
@@ -45,6 +45,9 @@
 {{- if trim $line }}{{ $problems = append $problems (trim $line) }}{{ end }}
 {{- end }}
 {{- range $line := splitList "\n" (include "robotkube.networkRefusals" .) }}
+{{- if trim $line }}{{ $problems = append $problems (trim $line) }}{{ end }}
+{{- end }}
+{{- range $line := splitList "\n" (include "robotkube.tlsRefusals" .) }}
 {{- if trim $line }}{{ $problems = append $problems (trim $line) }}{{ end }}
 {{- end }}
 {{- range $line := splitList "\n" (include "robotkube.podRefusals" .) }}

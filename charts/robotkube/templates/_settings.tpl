@@ -31,9 +31,7 @@ lease: {namespace: {{ .Release.Namespace }}, name: robotkube-manager-{{ $manager
 agents:
 {{- include "robotkube.agents" . }}
 broker:
-  host: {{ include "robotkube.brokerHost" . }}
-  port: {{ include "robotkube.brokerPort" . }}
-  credentials: /var/run/secrets/robotkube/broker
+  {{- include "robotkube.brokerSettings" . | nindent 2 }}
 scope: {{ toJson $manager.scope }}
 operators: {{ toJson $manager.operators }}
 managers:
@@ -85,6 +83,7 @@ webhook:
 {{- end }}
 
 {{- define "robotkube.bootstrapSettings" -}}
+{{- $rights := include "robotkube.rights" . | fromYaml -}}
 {{- $readers := include "robotkube.managerNames" . | replace " " ": read, " -}}
 {{- $people := include "robotkube.people" . | replace " " ": write, " -}}
 log_level: {{ .Values.logLevel }}
@@ -98,16 +97,17 @@ forge:
   - {name: {{ . }}, credentials: /var/run/secrets/robotkube/forge/{{ . }}}
   {{- end }}
   organisations:
-  - {name: robotkube, packages: {image-publisher: write, gate: read, suite-runner: read}}
+  - {name: robotkube, packages: {image-publisher: write, gate: read, suite-runner: read, nodes: read}}
   - {name: staging-publisher, packages: {publisher: write, gate: read, suite-runner: read}}
   - {name: staging, packages: {gate: write, suite-runner: read}}
+  - {name: own-images, packages: {gate: write, suite-runner: read, nodes: read}}
   - {name: verified, packages: {gate: write, {{ $readers }}: read, argocd: read, suite-runner: read, inspector: read}}
   repositories:
   - name: robotkube/deployment
     description: What runs on the fleet, one file per release
     branch: main
     seed: /etc/robotkube/seed/deployment
-    access: { {{- $readers }}: read, gate: write, argocd: read, inspector: read, {{ $people }}: write}
+    access: { {{- $readers }}: read, gate: write, argocd: read, inspector: read, {{ if $rights.enabled }}rights: read, {{ end }}{{ $people }}: write}
     main: [gate]
   - name: robotkube/catalogue
     description: What may be deployed
@@ -121,11 +121,14 @@ forge:
   {{- $host := eq $process "gate" | ternary (include "robotkube.gateHost" $) (include "robotkube.host" (dict "root" $ "name" $process)) }}
   {{- $url := printf "http://%s:8080/webhook" $host }}
   {{- $events := eq $process "gate" | ternary "[push, pull_request, pull_request_comment]" "[push, pull_request]" }}
+  {{- if eq $process "rights" }}{{ $events = "[push]" }}{{ end }}
   {{- if ne $process "admission" }}
   - {repository: robotkube/deployment, url: {{ $url | quote }}, events: {{ $events }}, secret: {{ $secret }}}
   {{- end }}
   {{- $events = eq $process "gate" | ternary "[push, pull_request]" "[push]" }}
+  {{- if ne $process "rights" }}
   - {repository: robotkube/catalogue, url: {{ $url | quote }}, events: {{ $events }}, secret: {{ $secret }}}
+  {{- end }}
   {{- end }}
   former_webhooks:                # where the gate stood before it had a namespace of its own
   {{- range list "deployment" "catalogue" }}
@@ -168,6 +171,8 @@ oci_registry:
   images: {{ include "robotkube.packages" (dict "root" . "organisation" "robotkube") }}
 token: /var/run/secrets/robotkube/suite-runner/token
 platform_namespace: {{ .Release.Namespace }}
+tls: {{ include "robotkube.encrypted" . | eq "true" }}
+kubelets: {verify: {{ (include "robotkube.inspection" . | fromYaml).verifyKubelets }}}
 agent: {{ include "robotkube.suitesAgent" . }}
 test_namespaces:
 {{- range $i := until (int .Values.suites.pool) }}

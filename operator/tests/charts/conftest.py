@@ -18,6 +18,7 @@ from ci import toolchain
 from gitops.argocd.render import render
 from tests.stages.paths import REPOSITORY
 from tests.stages.programs import SELDOM_COLLECTING, program
+from tests.stages.registry import chart_images
 
 CHARTS = REPOSITORY / "charts"
 PROFILES = Path(__file__).parent / "profiles"
@@ -65,7 +66,7 @@ class Rendered:
 @dataclass(frozen=True)
 class Helm:
     """Runs helm, once for a chart of the repository and the same values; a profile is a list of values files. Charts of
-    applications that lie in folders are rendered with the images.yaml that packing adds to them: it names ROS_IMAGE."""
+    applications that lie in folders are rendered with the images.yaml that packing adds to them."""
 
     binary: str
     folder: Path
@@ -119,7 +120,8 @@ class Helm:
     def _with_image(self, chart: Path) -> Path:
         folder = self.folder / f"charts-{len(list(self.folder.iterdir()))}" / chart.name
         shutil.copytree(chart, folder)  # follows the link to the library chart, as packing does
-        (folder / "images.yaml").write_text(f"ros: {ROS_IMAGE}\n")
+        images = {name: ROS_IMAGE.replace("/ros@", f"/{name}@") for name in chart_images.NAMES}
+        (folder / "images.yaml").write_text(yaml.safe_dump(images))
         return folder
 
 

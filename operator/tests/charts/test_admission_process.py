@@ -35,6 +35,7 @@ from robotkube.setup.adapters.gitea_administration import GiteaAdministration
 from robotkube.setup.loops.bootstrap import Bootstrap
 from tests.charts.conftest import PLATFORM, Helm, Rendered
 from tests.charts.test_admission import FILES
+from tests.stages import http_calls
 from tests.stages.attacks import shown
 from tests.stages.forge.gitea import ForgeProcess
 from tests.stages.forge.installation import Clone
@@ -333,7 +334,7 @@ def test_the_command_follows_until_it_is_told_to_end(stage: Stage, rendered: Ren
     with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as started:
         try:
             until(lambda: started.poll() is not None or answers(f"{page}/readyz"), "it is ready")
-            metrics = httpx.get(f"{page}/metrics").text
+            metrics = http_calls.get(f"{page}/metrics").text
         finally:
             started.terminate()
             said = started.communicate(timeout=30)[1]
@@ -345,7 +346,7 @@ def test_the_command_follows_until_it_is_told_to_end(stage: Stage, rendered: Ren
 
 def answers(url: str) -> bool:
     try:
-        return httpx.get(url, timeout=5).is_success
+        return http_calls.get(url, timeout=5).is_success
     except httpx.HTTPError:
         return False
 

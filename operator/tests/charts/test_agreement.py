@@ -18,6 +18,7 @@ from robotkube.delivery.inspection import __main__ as inspector
 from robotkube.delivery.manager import __main__ as manager
 from robotkube.delivery.removal import __main__ as remover
 from robotkube.delivery.removal.core.targets import RemovalPolicy
+from robotkube.delivery.rights import settings as rights
 from robotkube.errors import InputError
 from robotkube.foundation.runtime.settings_file import read_settings
 from robotkube.registry.catalogue.core.catalogue import read_release_policy
@@ -27,10 +28,12 @@ from robotkube.registry.suites import __main__ as suite_runner
 from robotkube.robots.bags.core.playback import read_player_settings
 from robotkube.robots.bridge.core.settings import read_bridge_settings
 from robotkube.robots.detector.core.settings import read_detector_settings
-from robotkube.robots.perception.core.settings import read_detection_settings, read_tracking_settings
+from robotkube.robots.perception.core.detection_settings import read_detection_settings
+from robotkube.robots.perception.core.tracking_settings import read_tracking_settings
 from robotkube.setup import bootstrap, gate_key, teardown
 from tests.stages.forge.installation import ACCOUNTS, PACKAGES
 from tests.stages.paths import CHARTS
+from tests.stages.registry import chart_images
 from tests.stages.settings_mounted import GATE, mounted, write
 
 pytestmark = pytest.mark.toolchain
@@ -41,6 +44,7 @@ PROCESSES: dict[str, Any] = {
     "gate": gate,
     "inspector": inspector,
     "manager": manager,
+    "rights": rights,
     "suite-runner": suite_runner,
     "teardown": teardown,
 }
@@ -135,7 +139,8 @@ def test_each_webhook_has_a_secret_of_its_own_that_both_ends_know(helm: Any, tmp
     making = read_settings(mounted(rendered, "bootstrap", tmp_path / "bootstrap"), bootstrap.read_configuration)
     assert making.forge is not None
     called = {(str(httpx.URL(hook.url).host).partition(".")[0], hook.secret) for hook in making.forge.setup.webhooks}
-    assert called == {("gate", hearing.webhook_secret), *own.items()}
+    listening = read_settings(mounted(rendered, "rights", tmp_path / "rights"), rights.read_configuration)
+    assert called == {("gate", hearing.webhook_secret), ("rights", listening.webhook_secret), *own.items()}
     for shared in (own["manager"], hearing.webhook_secret):
         write(tmp_path / "gate/secrets/proposers/manager-north/secret", shared)
         with pytest.raises(InputError, match=r"forge.proposers\[1\].secret: the forge .* or another proposer has"):
@@ -158,7 +163,7 @@ def image_of(rendered: Any) -> str:
 def test_helm_renders_a_packed_chart_as_the_folder(
     helm: Any, apps: Mapping[str, Any], chart: str, tmp_path: Path
 ) -> None:
-    images = {"ros": image_of(apps[chart])}
+    images = {chart: image_of(apps[chart])}
     packed = pack(CHARTS / "apps" / chart, images)
     assert packed.digest == pack(CHARTS / "apps" / chart, images).digest
     archive = tmp_path / f"{chart}.tgz"
@@ -195,7 +200,8 @@ def test_values_and_settings_of_the_earlier_version_are_still_read(
         assert newer.publish_gaps, "the later one tells of gaps by itself"
         newer = replace(newer, publish_gaps=False)
     assert older == newer
-    packed = [pack(CHARTS / folder / chart, {"ros": "x@sha256:" + "5" * 64}) for folder in ("apps", "earlier")]
+    images = chart_images.all_as("x@sha256:" + "5" * 64)
+    packed = [pack(CHARTS / folder / chart, images) for folder in ("apps", "earlier")]
     assert [one.version for one in packed] == ["0.2.2", "0.1.2"]
 
 
@@ -207,7 +213,8 @@ def test_two_versions_of_a_chart_differ_in_what_they_run(helm: Any, apps: Mappin
         for found in (apps[chart], earlier)
     )
     assert newer != older
-    packed = [pack(CHARTS / folder / chart, {"ros": "x@sha256:" + "5" * 64}) for folder in ("apps", "earlier")]
+    images = chart_images.all_as("x@sha256:" + "5" * 64)
+    packed = [pack(CHARTS / folder / chart, images) for folder in ("apps", "earlier")]
     assert [one.version for one in packed] == ["0.2.2", "0.1.2"]
     assert len({one.digest for one in packed}) == 2
 

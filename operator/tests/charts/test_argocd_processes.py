@@ -24,6 +24,7 @@ from robotkube.registry.admission.core.policies import for_files
 from robotkube.setup.adapters.argocd_configuration import KubernetesArgoCDConfiguration
 from robotkube.setup.loops.bootstrap import ArgoCDSetup, Bootstrap
 from tests.charts.conftest import Rendered
+from tests.stages import http_calls
 from tests.stages.attacks import shown
 from tests.stages.kubernetes.argocd_processes import NAMESPACE, generating, rendering, serving
 from tests.stages.kubernetes.installed_chart import Cluster, prepared_cluster
@@ -136,7 +137,7 @@ def send(url: str, headers: dict[str, str], body: dict[str, Any], secret: str = 
         headers = headers | {"X-Hub-Signature-256": "sha256=" + hmac.digest(secret.encode(), content, "sha256").hex()}
     headers = headers | {"Content-Type": "application/json"}
     try:
-        return httpx.post(f"{url}/api/webhook", headers=headers, content=content, timeout=ANSWER_SECONDS_MAX)
+        return http_calls.post(f"{url}/api/webhook", headers=headers, content=content, timeout=ANSWER_SECONDS_MAX)
     except httpx.HTTPError:
         return httpx.Response(503)
 
@@ -144,7 +145,7 @@ def send(url: str, headers: dict[str, str], body: dict[str, Any], secret: str = 
 def log_in(url: str, username: str, password: str) -> httpx.Response:
     account = {"username": username, "password": password}
     try:
-        return httpx.post(f"{url}/api/v1/session", json=account, timeout=ANSWER_SECONDS_MAX)
+        return http_calls.post(f"{url}/api/v1/session", json=account, timeout=ANSWER_SECONDS_MAX)
     except httpx.HTTPError:
         return httpx.Response(503)
 

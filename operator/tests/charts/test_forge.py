@@ -14,6 +14,7 @@ import httpx
 import pytest
 
 from ci import toolchain
+from tests.stages import http_calls
 from tests.stages.programs import free_port
 
 pytestmark = pytest.mark.toolchain
@@ -60,7 +61,7 @@ class Forge:
             return False
 
     def get(self, path: str, account: tuple[str, str] | None = None) -> httpx.Response:
-        return httpx.get(f"http://127.0.0.1:{self.port}{path}", auth=account, timeout=5)
+        return http_calls.get(f"http://127.0.0.1:{self.port}{path}", auth=account, timeout=5)
 
 
 @pytest.fixture(scope="module")
@@ -122,11 +123,11 @@ def test_the_registry_takes_the_account(served: Forge) -> None:
 def test_an_account_makes_no_repository_and_no_organisation(served: Forge) -> None:
     account, base = ("somebody", "password-of-somebody"), f"http://127.0.0.1:{served.port}/api/v1"
     new = {"username": account[0], "password": account[1], "email": "a@b.invalid", "must_change_password": False}
-    made = httpx.post(f"{base}/admin/users", json=new, auth=administrator(served), timeout=5)
+    made = http_calls.post(f"{base}/admin/users", json=new, auth=administrator(served), timeout=5)
     assert made.status_code == 201, made.text
-    repository = httpx.post(f"{base}/user/repos", json={"name": "own"}, auth=account, timeout=5)
+    repository = http_calls.post(f"{base}/user/repos", json={"name": "own"}, auth=account, timeout=5)
     assert (repository.status_code, "maximum limit of repositories" in repository.text) == (403, True), repository.text
-    organisation = httpx.post(f"{base}/orgs", json={"username": "own"}, auth=account, timeout=5)
+    organisation = http_calls.post(f"{base}/orgs", json={"username": "own"}, auth=account, timeout=5)
     assert organisation.status_code == 403, organisation.text
 
 

@@ -4,7 +4,6 @@ and public half in their places, kept by upgrades and by installing again, moved
 from __future__ import annotations
 
 import base64
-import gzip
 import json
 import os
 import subprocess
@@ -23,6 +22,7 @@ from robotkube.registry.evidence.adapters.key_pairs import new_key_pair
 from tests.stages.kubernetes.installed_chart import CHART, Cluster, prepared_cluster
 from tests.stages.programs import program
 from tests.stages.registry.signed_evidence import Signing, artefact
+from tests.stages.secret_words import words
 from tests.stages.settings_mounted import GATE
 
 pytestmark = pytest.mark.toolchain
@@ -180,14 +180,6 @@ def test_an_upgrade_keeps_the_key_which_stands_in_its_secret_and_in_no_other(wit
     secrets = json.loads(without_key.cluster.kubectl("get", "secrets", "-A", "-o", "json"))["items"]
     assert len([one for one in secrets if one["type"] == "helm.sh/release.v1"]) >= 2
     assert [one["metadata"]["name"] for one in secrets if body in words(one)] == [KEY]
-
-
-def words(secret: dict[str, Any]) -> str:
-    """What a Secret says; a release of Helm's is compressed and encoded once more."""
-    found = [base64.b64decode(value) for value in secret.get("data", {}).values()]
-    if secret["type"] == "helm.sh/release.v1":
-        found = [gzip.decompress(base64.b64decode(value)) for value in found]
-    return "".join(value.decode(errors="replace") for value in found)
 
 
 def test_the_key_of_an_older_installation_moves(without_key: Installed, tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from tests.stages.paths import CHARTS
 from tests.stages.registry import wrong_interfaces
+from tests.stages.registry.publications import write_sources
 
 pytestmark = pytest.mark.toolchain
 PROFILES = Path(__file__).parent / "profiles"
@@ -65,6 +66,14 @@ def test_the_platform_passes_with_each_of_its_profiles(helm: Any, name: str) -> 
 
 def test_what_registry_new_makes_passes(helm: Any, tmp_path: Path) -> None:
     chart, _ = wrong_interfaces.write_chart("text-relay", {}, tmp_path)
+    assert lint(helm, chart) == ""
+    assert lint(helm, chart, helm.values({"placement": {"agent": "vehicle-00"}})) == ""
+
+
+@pytest.mark.parametrize("service", ["order", "plan", "drive"])
+def test_every_chart_of_a_new_chain_passes(helm: Any, tmp_path: Path, service: str) -> None:
+    write_sources(tmp_path, "delivery", "--services", "order,plan,drive")
+    chart = tmp_path / "charts" / "apps" / f"delivery-{service}"
     assert lint(helm, chart) == ""
     assert lint(helm, chart, helm.values({"placement": {"agent": "vehicle-00"}})) == ""
 

@@ -83,6 +83,7 @@ def test_no_manager_has_what_the_forge_signs_for_others_with(two: Any) -> None:
         "forge-webhook-gate": everybody,
         "forge-webhook-manager": {*everybody, "Deployment/manager"},
         "forge-webhook-manager-north": {*everybody, "Deployment/manager-north"},
+        "forge-webhook-rights": {"Deployment/rights", "Job/bootstrap"},
     }
 
 
@@ -92,6 +93,7 @@ def test_on_an_external_forge_only_who_hears_has_a_secret(helm: Any) -> None:
     assert holders(found) == {
         "forge-webhook-gate": {"Deployment/gate"},
         "forge-webhook-manager": {"Deployment/gate", "Deployment/manager"},
+        "forge-webhook-rights": {"Deployment/rights"},
     }
 
 
@@ -127,7 +129,7 @@ def test_the_forge_knows_every_manager_and_tells_it(two: Any) -> None:
         }
         assert repository["main"] == ["gate"]
     called = {hook["url"].partition("//")[2].partition(".")[0] for hook in forge["webhooks"]}
-    assert called == {"gate", "manager", "manager-north"}
+    assert called == {"gate", "manager", "manager-north", "rights"}
 
 
 def test_namespaces_are_those_of_the_agents_when_left_out(helm: Any) -> None:

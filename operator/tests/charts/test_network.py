@@ -26,8 +26,8 @@ Reach = tuple[str, str, str, int]  # who, whom, protocol, port
 PLATFORM = CHARTS / "robotkube"
 PROFILES = Path(__file__).parent / "profiles"
 PAGE = REPOSITORY / "docs" / "reference" / "network.md"
-EDGE = re.compile(r"^\| (`.*`) \| `([a-z-]+)` \| (?:TCP (\d+)|[^|]+) \|", re.MULTILINE)
-PORTS = (53, 80, 443, 1883, 3000, 6379, 6443, 7000, 7400, 8080, 8081, 8083, 10250, 22, 27017)
+EDGE = re.compile(r"^\| (`.*`) \| `([a-z-]+)` \| (?:TCP (\d+)[^|]*|[^|]+) \|", re.MULTILINE)
+PORTS = (53, 80, 443, 1883, 3000, 6379, 6443, 7000, 7400, 8080, 8081, 8083, 8883, 10250, 22, 27017)
 ASKED = [*(("TCP", port) for port in PORTS), ("UDP", 53), ("UDP", 7400), ("UDP", 8080)]
 AT = {"name-service": [("TCP", 53), ("UDP", 53)], "api-server": [("TCP", 6443)], "kubelets": [("TCP", 10250)]}
 
@@ -36,7 +36,8 @@ STATED: Object = {  # what people state on a cluster of their own
     "apiServer": {"to": [{"ipBlock": {"cidr": "172.18.0.2/32"}}], "ports": [6443]},
     "kubelets": {"to": [{"ipBlock": {"cidr": "172.18.0.4/32"}}]},
     "clients": {
-        key: [{"ipBlock": {"cidr": "192.0.2.10/32"}}] for key in ("forge", "manager", "gate", "broker", "database")
+        key: [{"ipBlock": {"cidr": "192.0.2.10/32"}}]
+        for key in ("forge", "manager", "gate", "rights", "broker", "database")
     },
     "metrics": {"from": [MONITORING]},
 }
@@ -90,8 +91,8 @@ def policies(objects: Sequence[Object]) -> list[NetworkPolicy]:
 
 def meaning(everybody: Mapping[str, NetworkPeer], recording: Sequence[str]) -> dict[str, set[str]]:
     """The names of the table: which pods each means."""
-    names = ("manager", "suite-runner", "inspector", "remover", "forge", "broker", "database", "bootstrap", "teardown")
-    found = {name: {f"robotkube/{name}"} for name in names}
+    names = ["manager", "suite-runner", "inspector", "remover", "rights", "certificates", "forge", "broker", "database"]
+    found = {name: {f"robotkube/{name}"} for name in (*names, "bootstrap", "teardown")}
     found["remover"] &= set(everybody)  # where it is installed
     found["manager"].add("robotkube/manager-again")
     found["gate"] = {"robotkube-gate/gate"}
@@ -182,7 +183,9 @@ def test_the_embedded_cluster_allows_what_the_table_says_and_nothing_else(
         word: {"host"} for word in ("api-server", "name-service", "metrics", "clients")
     }
     means["kubelets"] = {"host", "node"}  # the gateway is an address of the nodes' network
-    wanted = expected(means) - {("host", "robotkube-gate/gate", "TCP", 8080)}  # nobody on the host calls the gate
+    called = {("host", name, "TCP", 8080) for name in ("robotkube-gate/gate", "robotkube/rights")}
+    wanted = expected(means) - called  # nobody on the host calls these
+    wanted |= {("node", "robotkube/forge", "TCP", 3000)}  # clients of the forge are the nodes, too: they pull images
     rules = [*policies(embedded.objects), *policies(argocd)]
     found = table(rules, everybody)
     assert difference({one for one in found if not not_ours(one)}, wanted) == NOTHING
@@ -224,7 +227,7 @@ def test_what_a_vehicle_and_a_chart_under_test_reach(
 
     host = {("host", "TCP", 53), ("host", "UDP", 53), ("host", "TCP", 6443)}
     multicast = {("group", "UDP", port) for port in (53, 7400, 8080)}
-    broker, database = ("robotkube/broker", "TCP", 1883), ("robotkube/database", "TCP", 27017)
+    broker, database = ("robotkube/broker", "TCP", 8883), ("robotkube/database", "TCP", 27017)
     assert whom("vehicle-00/mqtt-bridge") == {*host, *multicast, broker}
     assert whom("cloud-0/event-detector") == {*host, *multicast, broker, database}
     assert whom("robotkube-suite-0/subject") == {*multicast, ("host", "TCP", 6443)}
@@ -284,6 +287,7 @@ def test_what_stands_elsewhere_is_reached_at_its_port_alone(helm: Any) -> None:
         PROFILES / "official.yaml",
         forge=forge,
         broker={"kind": "external", "external": {"host": "mqtt.example", "port": 8883}},
+        tls={"mode": "off"},
         database={"kind": "external", "external": {"host": "mongo.example", "port": 27018}},
         traces={"endpoint": "http://collector.example:4318/v1/traces"},
         networkPolicies={**STATED, "outside": {"to": address}},

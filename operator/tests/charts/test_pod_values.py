@@ -22,6 +22,8 @@ WORKLOADS = {
     "suites": "Deployment/suite-runner",
     "inspection": "Deployment/inspector",
     "remover": "Deployment/remover",
+    "rights": "Deployment/rights",
+    "certificates": "Deployment/certificates",
     "broker": "Deployment/broker",
     "database": "StatefulSet/database",
     "forge": "StatefulSet/forge",

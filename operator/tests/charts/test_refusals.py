@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from tests.stages.paths import CHARTS
+from tests.stages.tls_refusals import TLS_REFUSALS
 
 pytestmark = pytest.mark.toolchain
 
@@ -24,6 +25,7 @@ PODS = {"podSelector": {"matchLabels": {"app": "prometheus"}}}
 ANYWHERE = [{"to": [{"ipBlock": {"cidr": "0.0.0.0/0"}}]}]
 
 REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
+    **TLS_REFUSALS,
     "pods of which namespace": (
         {"networkPolicies": {"metrics": {"from": [PODS]}}},
         "networkPolicies.metrics.from[0]: podSelector alone means pods of whichever namespace a policy stands in.",
@@ -108,7 +110,10 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
     "no MongoDB image": ({"images": {"mongo": ""}}, "database.kind is mongo, but images.mongo is empty."),
     "no broker image": ({"images": {"mosquitto": ""}}, "broker.kind is mosquitto, but images.mosquitto is empty."),
     "no forge image": ({"images": {"gitea": ""}}, "forge.kind is gitea, but images.gitea is empty."),
-    "external broker without host": ({"broker": {"kind": "external"}}, "broker.external.host is empty. Give the host"),
+    "external broker without host": (
+        {"broker": {"kind": "external"}, "tls": {"mode": "off"}},
+        "broker.external.host is empty. Give the host",
+    ),
     "external database without host": ({"database": {"kind": "external"}}, "database.external.host is empty."),
     "host of a broker that is not external": (
         {"broker": {"external": {"host": "mqtt.example"}}},
@@ -147,7 +152,11 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "no image that looks at charts": ({"images": {"ros": ""}}, "images.ros (what observes charts under test) is empty"),
     "no broker image for suites": (
-        {"images": {"mosquitto": ""}, "broker": {"kind": "external", "external": {"host": "mqtt.example"}}},
+        {
+            "images": {"mosquitto": ""},
+            "broker": {"kind": "external", "external": {"host": "mqtt.example"}},
+            "tls": {"mode": "off"},
+        },
         "images.mosquitto, the broker that suites start, is empty.",
     ),
     "no limits of test namespaces": ({"suites": {"testNamespace": None}}, "suites.testNamespace is empty: the pods of"),
@@ -378,7 +387,7 @@ def test_application_schemas_refuse(helm: Any, chart: str, values: dict[str, Any
 def test_application_charts_without_an_image_say_what_to_do(helm: Any, chart: str, tmp_path: Path) -> None:
     shutil.copytree(CHARTS / "apps" / chart, tmp_path / chart)
     said = helm.refusal(tmp_path / chart, PROFILES / f"{chart}.yaml")
-    assert f"{chart}: no image. Pack the chart with images.yaml (key ros)." in said
+    assert f"{chart}: no image. Pack the chart with images.yaml (key {chart})." in said
 
 
 @pytest.mark.parametrize("chart", APP_CHARTS)
@@ -475,7 +484,7 @@ def test_every_value_has_prose() -> None:
 def test_a_packed_chart_takes_its_image_from_images_yaml(helm: Any, tmp_path: Path) -> None:
     chart = tmp_path / "bag-player"
     shutil.copytree(CHARTS / "apps" / "bag-player", chart)  # follows the link to the library chart, as packing must
-    (chart / "images.yaml").write_text("ros: registry.example/ros@sha256:0123\n")
+    (chart / "images.yaml").write_text("bag-player: registry.example/ros@sha256:0123\n")
     rendered = helm.template(chart, PROFILES / "bag-player.yaml")
     [(_, pod)] = rendered.pods
     assert pod["containers"][0]["image"] == "registry.example/ros@sha256:0123"

@@ -45,6 +45,7 @@ from robotkube.registry.admission.core.list_objects import documents_for_api
 from robotkube.registry.admission.core.listing import AllowedVersions
 from tests.charts.conftest import PLATFORM, Helm
 from tests.charts.test_admission import FILES
+from tests.stages import http_calls
 from tests.stages.delivery.inspected_node import CHART, IMAGE, RENDERED, VERIFIED, permitted
 from tests.stages.kubernetes.installed_chart import Cluster, prepared_cluster
 from tests.stages.programs import free_port, program
@@ -334,8 +335,8 @@ def test_the_process_removes_until_it_is_stopped(stage: Stage, as_remover: str, 
     try:
         path = f"{PODS.format(AGENT)}/{stranger['metadata']['name']}"
         until(lambda: stage.administrator.get(path) is None, "the pod is gone")
-        until(lambda: httpx.get(f"http://127.0.0.1:{port}/readyz").is_success, "it is ready")
-        page = httpx.get(f"http://127.0.0.1:{port}/metrics").text
+        until(lambda: http_calls.get(f"http://127.0.0.1:{port}/readyz").is_success, "it is ready")
+        page = http_calls.get(f"http://127.0.0.1:{port}/metrics").text
         assert 'robotkube_removals_total{act="delete",result="done"} 1.0' in page
         [resident] = [line.split()[1] for line in page.splitlines() if line.startswith("process_resident_memory")]
         assert float(resident) < 64 * 1024 * 1024

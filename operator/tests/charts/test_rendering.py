@@ -83,7 +83,7 @@ def made_keys(platform: Any) -> int:
 
 
 def test_every_pod_of_the_platform_runs_restricted(platform: Any) -> None:
-    assert len(platform.pods) == 9 + (REMOVER in dict(platform.pods)) + made_keys(platform)
+    assert len(platform.pods) == 11 + (REMOVER in dict(platform.pods)) + made_keys(platform)
     assert {name: found for name, pod in platform.pods if (found := restricted_problems(pod))} == {}
 
 
@@ -111,6 +111,8 @@ def test_names_that_look_like_numbers_stay_names(helm: Any, chart: str) -> None:
     assert deployment["metadata"]["labels"]["robotkube.io/agent"] == pod["nodeSelector"]["robotkube.io/agent"] == NUMBER
     assert deployment["spec"]["selector"]["matchLabels"]["app.kubernetes.io/instance"] == "123"
     named = [volume["secret"]["secretName"] for volume in pod["volumes"] if "secret" in volume]
+    sources = [source for v in pod["volumes"] for source in v.get("projected", {}).get("sources", [])]
+    named += [source["secret"]["name"] for source in sources if "secret" in source]
     named += [v["persistentVolumeClaim"]["claimName"] for v in pod["volumes"] if "persistentVolumeClaim" in v]
     assert set(named) == {NUMBER}
 
@@ -173,9 +175,14 @@ def test_the_manager_may_write_nothing_but_tasks_events_and_its_lease(platform: 
     assert written == [["taskdescriptions"], ["taskdescriptions/status"], ["events"], ["leases"], ["events"]]
 
 
-def test_only_manager_and_inspector_have_a_right_beyond_a_namespace(platform: Any) -> None:
+def test_only_three_have_a_right_beyond_a_namespace(platform: Any) -> None:
     names = sorted(role["metadata"]["name"] for role in platform.of_kind("ClusterRole"))
-    assert names == ["robotkube-inspector", "robotkube-manager"]
+    assert names == ["robotkube-inspector", "robotkube-manager", "robotkube-suite-runner"]
+
+
+def test_the_suite_runner_reads_numbers_of_nodes_and_nothing_else_of_them(platform: Any) -> None:
+    rules = platform.one("ClusterRole", "robotkube-suite-runner", None)["rules"]
+    assert rules == [{"apiGroups": [""], "resources": ["nodes/stats"], "verbs": ["get"]}]
 
 
 def test_the_inspector_may_not_reach_into_containers(platform: Any) -> None:
@@ -193,7 +200,7 @@ def test_the_gate_has_no_right_and_no_token(platform: Any) -> None:
     ]
     removers = {"remover"} if REMOVER in dict(platform.pods) else set()
     job = {"gate-key"} if made_keys(platform) else set()
-    own = {"manager", "bootstrap", "teardown", "suite-runner", "inspector"}
+    own = {"manager", "bootstrap", "teardown", "suite-runner", "inspector", "certificates"}
     assert {name for name, _ in subjects} == own | removers | job
     pod = dict(platform.pods)["Deployment/gate"]
     assert pod["automountServiceAccountToken"] is False
@@ -220,6 +227,9 @@ def test_no_right_reaches_pods_for_writing_or_secrets_for_listing(platform: Any)
                 assert rule["verbs"] == ["create", "delete"]
             elif "secrets" in rule["resources"] and role["metadata"].get("namespace") == "robotkube-gate":
                 assert rule["verbs"] == ["create"]
+            elif "secrets" in rule["resources"] and role["metadata"]["name"] == "certificates":
+                assert rule["resourceNames"] == ["tls-authority", "broker-tls"]
+                assert rule["verbs"] == ["get", "patch"]
             elif "secrets" in rule["resources"]:
                 assert rule["resourceNames"] == ["argocd-secret"]
 
@@ -237,7 +247,8 @@ def test_the_plan_stands_on_the_configmap_alone(apps: Mapping[str, Any], chart: 
     [configmap], [deployment] = apps[chart].of_kind("ConfigMap"), apps[chart].of_kind("Deployment")
     assert configmap["metadata"]["annotations"] == {"robotkube.io/plan": "20261121-100000-1a2b3c"}
     assert "annotations" not in deployment["metadata"]
-    assert "annotations" not in deployment["spec"]["template"]["metadata"]
+    pod = deployment["spec"]["template"]["metadata"].get("annotations", {})
+    assert list(pod) == (["robotkube.io/settings"] if chart == "bag-player" else []), "who reads its settings once"
 
 
 @pytest.mark.parametrize("chart", APP_CHARTS)
@@ -327,6 +338,8 @@ def test_what_must_stay_is_kept(official: Any) -> None:
         ("CustomResourceDefinition", None, "taskdescriptions.robotkube.io"),
         ("CustomResourceDefinition", None, "inspections.robotkube.io"),
         ("Secret", None, "robotkube-seed"),
+        ("Secret", None, "tls-authority"),
+        ("Secret", None, "broker-tls"),
         ("Namespace", None, "robotkube-gate"),
         ("Lease", None, "robotkube-manager-manager"),
         ("PersistentVolumeClaim", "robotkube-suite-0", "scratch"),
@@ -342,8 +355,13 @@ def test_what_must_stay_is_kept(official: Any) -> None:
     }
 
 
+def passwords(rendered: Any) -> list[str]:
+    secrets = [secret.get("stringData", {}) for secret in rendered.of_kind("Secret")]
+    return [secret["password"] for secret in secrets if "password" in secret]
+
+
 def test_each_agent_has_a_password_of_its_own(official: Any) -> None:
-    secrets = [o["stringData"]["password"] for o in official.of_kind("Secret") if "password" in o["stringData"]]
+    secrets = passwords(official)
     given = {secret for secret in secrets if secrets.count(secret) == 1}
     assert all(len(secret) == 60 for secret in secrets)
     # Written twice on purpose: the forge's accounts argocd (forge, charts, deployment) and gate (bootstrap, the gate),
@@ -354,11 +372,7 @@ def test_each_agent_has_a_password_of_its_own(official: Any) -> None:
 
 def test_another_seed_gives_other_passwords(helm: Any, official: Any) -> None:
     other = helm.template(PLATFORM, PROFILE, secrets={"seed": "another-seed-of-thirty-two-characters"})
-    old, new = (
-        {o["stringData"]["password"] for o in rendered.of_kind("Secret") if "password" in o["stringData"]}
-        for rendered in (official, other)
-    )
-    assert not old & new
+    assert not set(passwords(official)) & set(passwords(other))
 
 
 def test_without_a_seed_one_is_made_and_used_throughout(helm: Any) -> None:

@@ -89,6 +89,7 @@ GENERATING = {
 }
 POLICIES = [f"validatingadmission{kind}.admissionregistration.k8s.io" for kind in ("policies", "policybindings")]
 PUBLISHING = {"configmaps": "create", "configmaps gate-public-key": "get patch"}
+TRUSTED = {"configmaps robotkube-ca": "get patch"}
 AGENTS = ("vehicle-00", "vehicle-01", "cloud-0")
 NAMESPACES = ("robotkube", "robotkube-gate", "argocd", "default", *AGENTS, "robotkube-suite-0")
 # account -> namespace -> what it may do there; what it may do everywhere stands under "*"
@@ -134,8 +135,12 @@ EXACTLY: dict[str, dict[str, Rights]] = {
             "configmaps admission-platform": "get",
         },
     },
+    "robotkube:certificates": {
+        **dict.fromkeys(AGENTS, TRUSTED),
+        "robotkube": {**TRUSTED, **{f"secrets {name}": "get patch" for name in ("tls-authority", "broker-tls")}},
+    },
     "robotkube:default": {},
-    "robotkube:suite-runner": {"robotkube-suite-0": ROOM},
+    "robotkube:suite-runner": {"*": {"nodes/stats": "get"}, "robotkube-suite-0": ROOM},
     "robotkube:remover": {
         "robotkube": {INSPECTIONS: "list", f"inspections/status.{GROUP}": "patch", EVENTS: "create"},
         **dict.fromkeys(AGENTS, REMOVING),

@@ -20,7 +20,8 @@ from robotkube.registry.suites.ports.suites import Subject
 from tests.stages.paths import REPOSITORY
 from tests.stages.registry import wrong_interfaces
 from tests.stages.registry.charts_under_test import subject_of
-from tests.stages.registry.wrong_charts import MISTAKES, wrong_chart
+from tests.stages.registry.publications import write_sources
+from tests.stages.registry.wrong_charts import APP, MISTAKES, wrong_chart
 
 pytestmark = pytest.mark.toolchain
 
@@ -61,6 +62,16 @@ def test_a_new_application_passes_as_it_is(read: Read, tmp_path: Path) -> None:
     assert [check for check in checks.values() if not check.passed] == []
     assert len(checks) >= 35
     assert checks["strategy"].found == ""
+
+
+def test_every_chart_of_a_new_chain_passes_as_it_is(read: Read, tmp_path: Path) -> None:
+    write_sources(tmp_path, "delivery", "--services", "order,plan,drive")
+    for service in ("order", "plan", "drive"):
+        name = f"delivery-{service}"
+        chart, entries = tmp_path / "charts" / "apps" / name, tmp_path / "registry" / "charts"
+        subject = read(chart, entries / name / "0.1.0.yaml")
+        assert failed(subject) == {}
+        assert not {path for path in subject.files if path.startswith(("tests", "Dockerfile", "."))}
 
 
 @pytest.mark.parametrize("name", STATIC)
@@ -120,6 +131,24 @@ def test_an_entry_that_differs_from_its_chart(relay: Subject, key: str, value: A
 
 def test_equal_quantities_may_be_written_differently(relay: Subject) -> None:
     assert failed(changed(relay, "resources", lambda _: {"cpu": 0.03, "memory": 64 * 1024 * 1024})) == {}
+
+
+def test_a_chart_may_have_its_results_asked_by_the_readiness_probe(read: Read, tmp_path: Path) -> None:
+    asks = "{exec: {command: [python3, /etc/robotkube/node.py, check]}, failureThreshold: 1}"
+    app = {"charts/{name}/templates/_app.tpl": [("settings: watched", f"settings: watched\nresults: {asks}")]}
+    subject = read(*wrong_interfaces.write_chart("text-relay", app, tmp_path / "new"))
+    measured = changed(subject, "success", lambda _: {"probesOf": ["text-relay"], "seconds": 60})
+    assert failed(measured) == {}
+    sets = measured.entry["spec"]["suites"]["sets"]
+    objects = measured.render({**sets[0]["values"], "placement": {"agent": "agent-00"}}, "one")
+    [container] = next(one for one in objects if one["kind"] == "Deployment")["spec"]["template"]["spec"]["containers"]
+    command = {"command": ["python3", "/etc/robotkube/node.py", "check"]}
+    bounds = {"periodSeconds": 5, "timeoutSeconds": 3, "failureThreshold": 1}
+    assert container["readinessProbe"] == {"exec": command, **bounds}
+    assert container["startupProbe"]["httpGet"]["path"] == "/readyz"
+    problems = failed(changed(subject, "success", lambda _: {"probesOf": ["relay"], "seconds": 60}))
+    assert list(problems) == ["entry-success"]
+    assert problems["entry-success"].endswith("no container relay with a readiness probe (those with one: text-relay)")
 
 
 def sets_with(**values: Any) -> Callable[[Any], Mapping[str, Any]]:
@@ -185,3 +214,59 @@ def test_other_mistakes_in_a_chart(
     changes = {f"charts/{{name}}/{file}": [change]}
     problems = failed(read(*wrong_interfaces.write_chart("text-relay", changes, tmp_path / "new")))
     assert found in problems[check]
+
+
+RESTARTS, WATCHES = "settings: restart", "settings: watched"
+HASHED = '(dict "root" .)) }}'
+ONE_ALONE = HASHED.replace(" }}", ' | replace "robotkube.io/files: " (printf "x: %s #" .Values.relay.input) }}')
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "found"),
+    [
+        ("values.yaml", ("/in ", "/in "), "values.relay.input, values.relay.output: a change leaves"),
+        ("templates/_app.tpl", (f"{WATCHES}\n", ""), "values.relay.input, values.relay.output: a change leaves"),
+        ("templates/deployment.yaml", (HASHED, ONE_ALONE), "values.relay.output: a change leaves"),
+    ],
+)
+def test_a_pod_that_stays_though_its_entry_says_restart(
+    read: Read, tmp_path: Path, file: str, change: tuple[str, str], found: str
+) -> None:
+    changes = {f"charts/{{name}}/{file}": [change], wrong_interfaces.ENTRY: [(WATCHES, RESTARTS)]}
+    problems = failed(read(*wrong_interfaces.write_chart("text-relay", changes, tmp_path / "new")))
+    assert list(problems) == ["settings"]
+    assert problems["settings"].startswith(found)
+
+
+def test_a_chart_that_restarts_as_its_entry_says(read: Read, tmp_path: Path) -> None:
+    changes = {path: [(WATCHES, RESTARTS)] for path in (APP, wrong_interfaces.ENTRY)}
+    assert failed(read(*wrong_interfaces.write_chart("text-relay", changes, tmp_path / "new"))) == {}
+
+
+def test_a_type_that_the_suites_cannot_publish(relay: Subject) -> None:
+    def own(interfaces: Any) -> Any:
+        return [{**one, "type": "rover_msgs/msg/Fix"} if one["direction"] == "in" else one for one in interfaces]
+
+    problems = failed(changed(changed(relay, "interfaces", own), "images", lambda _: ["rover"]))
+    assert "none of the packaged images has the message package rover_msgs" in problems["message-types"]
+    assert "the suite interface must publish one" in problems["message-types"]
+
+
+def test_a_pod_that_is_replaced_though_its_entry_says_watched(read: Read, tmp_path: Path) -> None:
+    changes = {APP: [(WATCHES, RESTARTS)]}
+    problems = failed(read(*wrong_interfaces.write_chart("text-relay", changes, tmp_path / "new")))
+    words = "values.relay.input, values.relay.output: a change is a new pod template, so nothing is watched"
+    assert problems == {"settings": words}
+
+
+def test_an_entry_that_says_nothing_of_settings_passes_with_advice(relay: Subject) -> None:
+    entry = json.loads(json.dumps(relay.entry))
+    del entry["spec"]["settings"]
+    check = checks_of(dataclasses.replace(relay, entry=entry))["settings"]
+    assert (check.passed, check.found[:7]) == (True, "advice:")
+
+
+def test_no_other_word_says_how_settings_are_taken(read: Read, tmp_path: Path) -> None:
+    changes = {APP: [(WATCHES, "settings: sometimes")]}
+    problems = failed(read(*wrong_interfaces.write_chart("text-relay", changes, tmp_path / "new")))
+    assert 'settings "sometimes". Write watched or restart in templates/_app.tpl.' in problems["renders"]

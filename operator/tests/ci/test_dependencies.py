@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from ci.imports import imports, module_name, package_of
+from robotkube.cli.main import COMMANDS
 
 TOP = Path(__file__).resolve().parents[3]
 SOURCES = TOP / "operator" / "src"
@@ -25,6 +26,9 @@ PLATFORM = (
     "robotkube.delivery.inspection.__main__",
     "robotkube.registry.charts.adapters.helm_sandbox",
     "robotkube.registry.admission.__main__",
+    "robotkube.delivery.rights.__main__",
+    "robotkube.delivery.certificates.__main__",
+    "robotkube.delivery.rights.first_file",
     "robotkube.registry.catalogue.adapters.bounded_validation",
     "robotkube.registry.suites.__main__",
     "robotkube.setup.teardown",
@@ -43,6 +47,13 @@ ROBOT = (
 )
 NATIVE_TOO = frozenset(["robotkube", "robotkube_rcl"])  # the second is built from operator/native
 COMMAND_LINE = ("robotkube.cli.__main__",)
+COMMANDS_IMPORTED = ("robotkube.cli.__main__", *sorted({f"robotkube.cli.{command.module}" for command in COMMANDS}))
+BUILD_STAGE = frozenset(  # of message packages: registry/images/skeletons/messages/Dockerfile installs them
+    [
+        *("rosidl_adapter", "rosidl_generator_c", "rosidl_generator_py", "rosidl_generator_type_description"),
+        *("rosidl_typesupport_c", "rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c"),
+    ]
+)
 
 
 def imported(source: str, package: str = "") -> Iterator[str]:
@@ -104,8 +115,8 @@ def undeclared(names: frozenset[str], known: frozenset[str], own: frozenset[str]
 
 
 def own_packages() -> frozenset[str]:
-    """What is imported by name and is part of the repository: its packages."""
-    return NATIVE_TOO | {"benchmarks", "ci", "scenarios", "gitops", "tests"}
+    """What is imported by name and is part of the repository: its packages, and what lies beside a skeleton's node."""
+    return NATIVE_TOO | {"benchmarks", "ci", "scenarios", "gitops", "tests", "answers"}
 
 
 @pytest.mark.parametrize("process", PLATFORM)
@@ -118,7 +129,7 @@ def test_what_a_process_on_a_robot_imports_is_declared_for_robots(process: str) 
     assert undeclared(reachable(process), declared("robot"), NATIVE_TOO) == {}
 
 
-@pytest.mark.parametrize("process", COMMAND_LINE)
+@pytest.mark.parametrize("process", COMMANDS_IMPORTED)
 def test_what_the_command_line_imports_is_declared_for_the_platform_or_for_robots(process: str) -> None:
     assert undeclared(reachable(process), declared("platform", "robot"), NATIVE_TOO) == {}
 
@@ -127,7 +138,7 @@ def test_what_the_command_line_imports_is_declared_for_the_platform_or_for_robot
 def test_what_a_folder_imports_is_declared_in_some_extra(folder: str) -> None:
     root = SOURCES if folder == "operator/src" else (TOP / folder).parent
     names = frozenset(name for path in (TOP / folder).rglob("*.py") for name in imported_by(path, root))
-    assert undeclared(names, every_extra(), own_packages()) == {}
+    assert undeclared(names, every_extra(), own_packages() | BUILD_STAGE) == {}
 
 
 def test_every_module_that_runs_as_a_process_is_looked_at() -> None:
@@ -139,7 +150,7 @@ def test_every_module_that_runs_as_a_process_is_looked_at() -> None:
 
 def test_every_package_that_is_declared_for_the_platform_is_imported() -> None:
     """What nothing imports, such as a library that was replaced, goes."""
-    names = {name.partition(".")[0] for process in (*PLATFORM, *COMMAND_LINE) for name in reachable(process)}
+    names = {name.partition(".")[0] for process in (*PLATFORM, *COMMANDS_IMPORTED) for name in reachable(process)}
     used = {distribution(one) for name in names for one in homes().get(name, [])}
     assert declared("platform") - used == set()
 

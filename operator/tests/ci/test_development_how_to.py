@@ -13,6 +13,7 @@ import httpx
 import pytest
 
 from benchmarks.pods import free_port
+from tests.stages import http_calls
 from tests.stages.kubernetes.api_calls import Api
 from tests.stages.kubernetes.api_server import ApiServerProcess
 from tests.stages.paths import REPOSITORY
@@ -45,7 +46,7 @@ def started(script: str, folder: Path, **environment: str) -> Iterator[str]:
     def alive() -> bool:
         assert process.poll() is None, (folder / "log").read_text()
         try:
-            return httpx.get(f"{url}/livez").is_success
+            return http_calls.get(f"{url}/livez").is_success
         except httpx.HTTPError:
             return False
 
@@ -62,14 +63,14 @@ def started(script: str, folder: Path, **environment: str) -> Iterator[str]:
 @pytest.mark.processes
 def test_the_gate_starts_and_says_what_it_misses(tmp_path: Path) -> None:
     with started(GATE, tmp_path) as url:
-        answer = httpx.get(f"{url}/readyz")
+        answer = http_calls.get(f"{url}/readyz")
         assert (answer.status_code, "the forge was not seen" in answer.text) == (503, True)
 
 
 @pytest.mark.processes
 def test_the_suite_runner_starts(tmp_path: Path) -> None:
     with started(SUITE_RUNNER, tmp_path) as url:
-        assert httpx.get(f"{url}/readyz").text == "ok\n"
+        assert http_calls.get(f"{url}/readyz").text == "ok\n"
 
 
 @pytest.mark.toolchain
@@ -79,4 +80,4 @@ def test_the_manager_starts_at_a_cluster(tmp_path: Path, api: Api, api_server: A
     subprocess.run(bash(LEASE), env={**os.environ, **environment}, check=True, timeout=COMMAND_SECONDS_MAX)
     with started(MANAGER, tmp_path, **environment) as url:
         until(lambda: "leading" in (tmp_path / "log").read_text(), "leading")
-        assert httpx.get(f"{url}/readyz").status_code == 503
+        assert http_calls.get(f"{url}/readyz").status_code == 503

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -41,10 +42,11 @@ def code(page: Path) -> Iterator[str]:
     yield from CODE.findall(page.read_text(encoding="utf-8"))
 
 
+@cache
 def verbs() -> dict[str, set[str]]:
     """Noun -> verbs of the command line's own parser."""
     found: dict[str, set[str]] = {}
-    for noun, parser in choices(cli.parser(cli.commands())).items():
+    for noun, parser in choices(cli.parser()).items():
         found[noun] = set(choices(parser))
     return found
 

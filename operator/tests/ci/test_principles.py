@@ -12,7 +12,7 @@ import pytest
 
 from ci import principles, test
 
-DOCSTRING = '"""A principle.\n\nExample: it\nis so.\n\nStory: it was tried.\n"""\n'
+DOCSTRING = '"""A principle.\n\nExample: it\nis so.\n\nStory: it was tried.\n\nAsserted: on messages.\n"""\n'
 
 
 def test_the_page_names_exactly_the_ten_rows() -> None:
@@ -84,7 +84,7 @@ def ten(folder: Path) -> Path:
 def test_a_row_too_few_or_too_many_is_refused(tmp_path: Path) -> None:
     folder = ten(tmp_path)
     assert principles.read_principles(folder)[0] == principles.Principle(
-        "p01", "A principle.", "it is so.", "it was tried."
+        "p01", "A principle.", "it is so.", "it was tried.", "on messages."
     )
     (folder / "test_p11.py").write_text(DOCSTRING)
     with pytest.raises(ValueError, match=r"exactly p01, .*; it holds .*p11"):
@@ -95,8 +95,11 @@ def test_a_row_too_few_or_too_many_is_refused(tmp_path: Path) -> None:
         principles.read_principles(folder)
 
 
-def test_a_story_without_its_paragraphs_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("docstring", ['"""A principle."""\n', DOCSTRING.replace("Asserted: ", "")])
+def test_a_story_without_its_paragraphs_is_refused(tmp_path: Path, docstring: str) -> None:
     folder = ten(tmp_path)
-    (folder / "test_p04.py").write_text('"""A principle."""\n')
-    with pytest.raises(ValueError, match=r"test_p04\.py: its docstring must be the principle"):
+    (folder / "test_p04.py").write_text(docstring)
+    with pytest.raises(
+        ValueError, match=r"test_p04\.py: its docstring must be the principle and paragraphs with Example: , "
+    ):
         principles.read_principles(folder)

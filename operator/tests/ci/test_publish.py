@@ -14,15 +14,16 @@ import pytest
 from ci import evidence, publish
 from ci.cluster.images import Image
 from ci.errors import SetUpError
-from ci.images import bills
 from robotkube.registry.catalogue.core.catalogue import FOLDERS, read_catalogue
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.charts.core.packing import build_tag
 from robotkube.registry.evidence.core.statements import Check
 from robotkube.registry.evidence.core.verification_policy import read_verification_policy
+from robotkube.registry.images.adapters import bills
 from robotkube.registry.publication.loops.submitting import PUBLISHED, UNCHANGED
 from robotkube.registry.suites.core.image_checks import BILL_TYPE
 from tests.stages.forge.installation import Clone, Installation
+from tests.stages.registry import chart_images
 from tests.stages.registry.publications import Publishing, look_often
 from tests.stages.registry.signed_evidence import POLICY_TEXT
 
@@ -57,6 +58,12 @@ def image(folder: Path, name: str, content: bytes) -> Image:
             info.size = len(data)
             tar.addfile(info, io.BytesIO(data))
     return Image(name, f"{REPOSITORY}/{name}@{entry['digest']}", archive)
+
+
+def images(folder: Path, content: bytes, **other: bytes) -> list[Image]:
+    """All that charts name, each with a layer of its own; `other`: content of some, by name with `_` for `-`."""
+    layers = {name: other.get(name.replace("-", "_"), content) for name in chart_images.NAMES}
+    return [image(folder, name, name.encode() + b" " + layer) for name, layer in layers.items()]
 
 
 def descriptor(kind: str, data: bytes) -> dict[str, object]:
@@ -113,8 +120,8 @@ def publishing(installation: Installation, tmp_path: Path) -> Iterator[Publishin
 def test_what_was_built_is_published_once_and_its_evidence_kept(
     installation: Installation, publishing: Publishing, access: publish.PublishingAccounts, tmp_path: Path
 ) -> None:
-    ros, said, kept = image(tmp_path, "ros", b"one"), list[str](), tmp_path / "kept"
-    first = publish.publish_to(access, [ros], kept, said.append)
+    built, said, kept = images(tmp_path, b"one"), list[str](), tmp_path / "kept"
+    first = publish.publish_to(access, built, kept, said.append)
     assert first.outcome.verdict == PUBLISHED
     assert {chart.name.split()[0] for chart in first.outcome.charts} == set(publish.BASE)
     assert len(publishing.runner.runs) == len(SUITES) * len(first.outcome.charts)
@@ -124,11 +131,12 @@ def test_what_was_built_is_published_once_and_its_evidence_kept(
             digest = registry.manifest_digest(f"verified/{chart.artefact.chart}", chart.digest)
             assert digest == chart.digest
     with OciRegistry(installation.url, "suite-runner", installation.passwords["suite-runner"]) as registry:
-        [bill] = registry.attachments("robotkube/ros", ros.reference.partition("@")[2])
-        assert (bill.artifact_type, bill.data) == (BILL_TYPE, BILL)
+        for one in built:
+            [bill] = registry.attachments(f"robotkube/{one.name}", one.reference.partition("@")[2])
+            assert (bill.artifact_type, bill.data) == (BILL_TYPE, BILL)
     files = {path.relative_to(kept).as_posix(): path.read_text() for path in kept.rglob("*.json")}
     assert files == first.outcome.evidence
-    again = publish.publish_to(access, [ros], kept)
+    again = publish.publish_to(access, built, kept)
     assert again.outcome.verdict == UNCHANGED
     assert len(publishing.runner.runs) == len(SUITES) * len(first.outcome.charts)
 
@@ -136,10 +144,10 @@ def test_what_was_built_is_published_once_and_its_evidence_kept(
 def test_more_charts_come_with_what_they_replace_and_the_applications_they_run(
     publishing: Publishing, access: publish.PublishingAccounts, tmp_path: Path
 ) -> None:
-    ros, kept = image(tmp_path, "ros", b"more"), tmp_path / "kept"
-    older = publish.publish_to(access, [ros], kept, extra=["object-detection@0.1.2"])
+    built, kept = images(tmp_path, b"more"), tmp_path / "kept"
+    older = publish.publish_to(access, built, kept, extra=["object-detection@0.1.2"])
     assert "object-detection 0.1.2" in {chart.name for chart in older.outcome.charts}
-    newer = publish.publish_to(access, [ros], kept, extra=["object-detection", "object-tracking"])
+    newer = publish.publish_to(access, built, kept, extra=["object-detection", "object-tracking"])
     names = {chart.name for chart in newer.outcome.charts}
     assert names == {"object-detection 0.2.2", "object-tracking 0.1.2", "object-tracking 0.2.2"}
     assert "object-detection 0.1.2" in newer.outcome.unchanged
@@ -151,15 +159,13 @@ def test_more_charts_come_with_what_they_replace_and_the_applications_they_run(
 
 def test_a_chart_that_is_not_there_is_named(access: publish.PublishingAccounts, tmp_path: Path) -> None:
     with pytest.raises(SetUpError, match=r"no chart object-detection@0.9.0; there are bag-player, .*@0.1.2"):
-        publish.publish_to(access, [image(tmp_path, "ros", b"x")], tmp_path / "kept", extra=["object-detection@0.9.0"])
+        publish.publish_to(access, images(tmp_path, b"x"), tmp_path / "kept", extra=["object-detection@0.9.0"])
 
 
 def test_another_image_gives_other_charts_and_the_old_ones_stay(
     installation: Installation, publishing: Publishing, access: publish.PublishingAccounts, tmp_path: Path
 ) -> None:
-    published = [
-        publish.publish_to(access, [image(tmp_path, "ros", content)], tmp_path / "kept") for content in (b"a", b"b")
-    ]
+    published = [publish.publish_to(access, images(tmp_path, content), tmp_path / "kept") for content in (b"a", b"b")]
     old, new = ({chart.digest for chart in one.outcome.charts} for one in published)
     assert not old & new
     with OciRegistry(installation.url, "argocd", installation.passwords["argocd"]) as registry:
@@ -173,36 +179,47 @@ def test_another_image_gives_other_charts_and_the_old_ones_stay(
         assert (version.state, version.digest) == ("verified", chart.digest)
 
 
+def test_another_image_of_one_service_gives_that_chart_another_digest_alone(
+    publishing: Publishing, access: publish.PublishingAccounts, tmp_path: Path
+) -> None:
+    first = publish.publish_to(access, images(tmp_path, b"before"), tmp_path / "kept")
+    assert len(first.outcome.charts) == len(publish.BASE)
+    before = len(publishing.runner.runs)
+    second = publish.publish_to(access, images(tmp_path, b"before", mqtt_bridge=b"after"), tmp_path / "kept")
+    assert [chart.name for chart in second.outcome.charts] == ["mqtt-bridge 0.2.2"]
+    assert len(publishing.runner.runs) == before + len(SUITES)
+
+
 def test_a_refusal_says_what_the_gate_found(
     publishing: Publishing, access: publish.PublishingAccounts, tmp_path: Path
 ) -> None:
     publishing.runner.checks["static"] = (Check("pods are restricted", False, "a privileged pod", "take it out"),)
     with pytest.raises(SetUpError, match=r"the gate refused to publish, see http(?s:.*)pods are restricted") as refusal:
-        publish.publish_to(access, [image(tmp_path, "ros", b"refused")], tmp_path / "kept")
+        publish.publish_to(access, images(tmp_path, b"refused"), tmp_path / "kept")
     assert "take it out" in str(refusal.value)
     assert not (tmp_path / "kept").exists()
 
 
 def test_an_image_that_no_one_built_is_named(access: publish.PublishingAccounts, tmp_path: Path) -> None:
-    with pytest.raises(SetUpError, match=r"spec.images: no reference of ros"):
+    with pytest.raises(SetUpError, match=r"spec.images: no reference of mqtt-bridge"):
         publish.publish_to(access, [image(tmp_path, "other", b"x")], tmp_path / "kept")
 
 
 def test_an_image_without_its_bill_is_refused(access: publish.PublishingAccounts, tmp_path: Path) -> None:
-    ros = image(tmp_path, "ros", b"no bill")
-    ros.archive.with_name(bills.FILE).unlink()
+    built = images(tmp_path, b"no bill")
+    built[0].archive.with_name(bills.FILE).unlink()
     with pytest.raises(SetUpError, match=r"bill-.*: missing; build the images again: make images"):
-        publish.publish_to(access, [ros], tmp_path / "kept")
+        publish.publish_to(access, built, tmp_path / "kept")
 
 
 @pytest.mark.parametrize("account", [publish.ACCOUNT, publish.IMAGE_ACCOUNT])
 def test_a_wrong_password_is_named(access: publish.PublishingAccounts, tmp_path: Path, account: str) -> None:
-    charts, images = (
+    charts, pusher = (
         replace(one, password="wrong") if one.username == account else one  # noqa: S106
         for one in (access.charts, access.images)
     )
     with pytest.raises(SetUpError, match=rf"\b{account}\b"):
-        publish.publish_to(publish.PublishingAccounts(charts, images), [image(tmp_path, "ros", b"x")], tmp_path / "k")
+        publish.publish_to(publish.PublishingAccounts(charts, pusher), images(tmp_path, b"x"), tmp_path / "k")
 
 
 def test_the_key_is_made_once_for_its_user_alone(tmp_path: Path) -> None:
@@ -230,13 +247,13 @@ def stop_when_waiting(line: str) -> None:
 def test_what_runs_by_itself_waits_for_a_person(
     installation: Installation, publishing: Publishing, access: publish.PublishingAccounts, tmp_path: Path
 ) -> None:
-    ros, path = image(tmp_path, "ros", b"unapproved"), "applications/proximity-operator.yaml"
+    built, path = images(tmp_path, b"unapproved"), "applications/proximity-operator.yaml"
     catalogue = installation.clone("gate", "robotkube/catalogue")
     if path in [entry.path for entry in _index(catalogue)]:
         removal = catalogue.commit({path: None}, "away\n", [catalogue.tip()])
         assert catalogue.push(removal, "refs/heads/main") == ""
     with pytest.raises(WaitingError, match="application proximity-operator"):
-        publish.publish_to(replace(access, person=None), [ros], tmp_path / "kept", stop_when_waiting)
-    outcome = publish.publish_to(access, [ros], tmp_path / "kept").outcome
+        publish.publish_to(replace(access, person=None), built, tmp_path / "kept", stop_when_waiting)
+    outcome = publish.publish_to(access, built, tmp_path / "kept").outcome
     assert outcome.verdict == PUBLISHED
     assert path in outcome.applications

@@ -12,6 +12,7 @@ from ci import (
     command_reference,
     detector_reference,
     markdown,
+    message_types,
     network_reference,
     reference,
     rule_reference,
@@ -24,6 +25,13 @@ def test_the_page_is_current() -> None:
 
 def test_the_page_of_metrics_is_current() -> None:
     assert reference.METRICS_PAGE.read_text(encoding="utf-8") == reference.metrics_page(), "run: make reference"
+
+
+def test_the_list_of_message_types_is_current() -> None:
+    types, versions = message_types.installed_types(), message_types.locked_versions()
+    assert set(versions) == set(types), "a wheel with messages is installed here that operator/requirements has not"
+    assert message_types.MODULE.read_text(encoding="utf-8") == message_types.module(types), "run: make reference"
+    assert message_types.PAGE.read_text(encoding="utf-8") == message_types.page(types, versions), "run: make reference"
 
 
 def test_the_page_of_rules_is_current() -> None:
@@ -81,7 +89,7 @@ def test_what_every_component_takes_stands_once() -> None:
     found = chart_reference.readme("robotkube", f"{chart_reference.BEGIN}{chart_reference.END}")
     assert found.count("| `podLabels` |") == 1
     assert "gate.podLabels" not in found
-    parts = ("managers[]", "gate", "suites", "broker", "database", "forge")
+    parts = ("managers[]", "gate", "suites", "broker", "certificates", "rights", "database", "forge")
     parts += ("admission", "inspection", "remover", "bootstrap", "teardown")
     assert f"Each of {', '.join(f'`{part}`' for part in parts)} takes" in " ".join(found.split())
     assert "| `managers[].replicas` | `1` |" in found

@@ -13,6 +13,8 @@ import yaml
 from robotkube.cli.main import main
 from robotkube.cli.platform import Platform
 from robotkube.delivery.deployment.core.releases import application_name
+from robotkube.delivery.manager.core.updates.states import WAITING, ReleaseUpdate
+from robotkube.delivery.manager.core.updates.steps import Updates
 from robotkube.delivery.manager.loops.explain import Explainer
 from robotkube.foundation.runtime.adapters.webhook_server import WebServer
 from tests.stages.delivery.manager_in_memory import Stage
@@ -34,15 +36,16 @@ class Line:
         stage.settle()
         [name] = [key.partition("/")[2] for key in stage.tasks.objects]
         task = "/apis/robotkube.io/v1alpha1/namespaces/cloud-0/taskdescriptions/" + name
-        pages = {
+        self.pages: dict[str, Any] = {
             f"{PROXY}/plans": stage.manager.records.as_json,
+            f"{PROXY}/updates": stage.manager.statistics.updates_page,
             TASKS: lambda: {"items": list(stage.tasks.objects.values())},
             task: lambda: stage.tasks.objects[self.key],
             PODS: lambda: {"items": self._pods()},
             APPLICATIONS: lambda: {"items": self._applications()},
         }
         explainer = Explainer(stage.manager.what_if, stage.tasks)
-        self.server = WebServer("127.0.0.1", 0, list, str, pages=pages, posts={f"{PROXY}/explain": explainer})
+        self.server = WebServer("127.0.0.1", 0, list, str, pages=self.pages, posts={f"{PROXY}/explain": explainer})
         self.server.start()
         cluster = {"name": "c", "cluster": {"server": f"http://127.0.0.1:{self.server.port}"}}
         context = {"name": "c", "context": {"cluster": "c", "user": "c"}}
@@ -135,6 +138,16 @@ def test_releases_with_their_demands_and_nodes(line: Line) -> None:
     assert (code, found[RECORDER]["demands"], found[RECORDER]["nodes"]) == (0, [line.key], ["cloud-0"])
     assert line.key in found["vehicle-00/mqtt-bridge"]["demands"]
     assert found["cloud-0/event-detector"]["demands"] == []
+    assert found[RECORDER]["update"] == ""
+
+
+def test_releases_that_an_update_is_not_through_with(line: Line) -> None:
+    state = ReleaseUpdate(WAITING, "event-detector 0.3.0 follows when it has succeeded for vehicle-00/event-detector")
+    line.stage.manager.statistics.updates = Updates(states={RECORDER: state})
+    [row] = [row for row in line.run("release", "list")[1].splitlines() if row.startswith(RECORDER)]
+    assert "waiting: event-detector 0.3.0 follows" in row
+    del line.pages[f"{PROXY}/updates"]
+    assert "waiting" not in line.run("release", "list")[1]
 
 
 @pytest.mark.parametrize("what", ["event-meeting", "a" * 32, "cloud-0/meeting", "plan"])

@@ -301,9 +301,8 @@ def test_an_incomplete_recording_shows_its_table_and_ends_refused(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     table = Table("topics", ("topic",), [{"topic": POSE}], refusal="differs")
-    command = cli.Command("recording", "verify", "", lambda options: table)
-    monkeypatch.setattr(cli, "commands", lambda: [command])
-    assert cli.main(["recording", "verify"]) == cli.EXIT_REFUSED
+    monkeypatch.setattr(cli_recordings, "verify_one", lambda options: table)
+    assert cli.main(["recording", "verify", NAME]) == cli.EXIT_REFUSED
     out, err = capsys.readouterr()
     assert POSE in out
     assert err == "robotkube: differs\n"
@@ -314,9 +313,8 @@ def test_a_recording_that_nothing_speaks_against_but_no_seal_proves_has_an_exit_
 ) -> None:
     memory = Memory()
     table = cli_recordings.verified({"cloud-0": memory}, memory, NAME, [], None)
-    command = cli.Command("recording", "verify", "", lambda options: table)
-    monkeypatch.setattr(cli, "commands", lambda: [command])
-    assert cli.main(["recording", "verify"]) == cli.EXIT_UNPROVED == 4
+    monkeypatch.setattr(cli_recordings, "verify_one", lambda options: table)
+    assert cli.main(["recording", "verify", NAME]) == cli.EXIT_UNPROVED == 4
     assert f"robotkube: {NAME}: has no manifest: " in capsys.readouterr().err
 
 

@@ -72,7 +72,9 @@ def test_submitting(line: Line, api: Api, tmp_path: Path, monkeypatch: pytest.Mo
     assert line.run(*submit)[2] == "unchanged: cloud-0/from-file\n"
     monkeypatch.setattr("sys.stdin", io.StringIO(TASK))
     words = ("task", "submit", "-f", "-", "--requester", "tester", "--parameter", "vehicles=[vehicle-01]")
-    assert line.run(*words, "--policy", "Preempt")[2] == "changed: cloud-0/from-file\n"
+    not_asked, changed = line.run(*words, "--policy", "Preempt")[2].splitlines()
+    assert changed == "changed: cloud-0/from-file"
+    assert not_asked.startswith("changed without asking the manager first: no Service manager in namespace robotkube")
     found = json.loads(line.run("task", "show", "cloud-0/from-file", "--output", "json")[1])["spec"]
     assert (found["parameters"], found["priority"], found["conflictPolicy"]) == (
         {"vehicles": ["vehicle-01"]},
@@ -195,12 +197,16 @@ def test_submitting_finds_forge_account_and_images_in_the_cluster(line: Line, ap
     api.post(f"{core}/secrets", {"metadata": {"name": "forge-account-publisher"}, "stringData": account})
     code, _, err = line.run(*words)
     assert code == 2
-    assert "spec.images: no reference of ros (known: none); give its reference in the file of --images" in err
+    assert "spec.images: no reference of mqtt-bridge (known: none); push it (robotkube image push)" in err
     data = {"images.yaml": "platform: host/platform@sha256:1\n"}
     api.post(f"{core}/configmaps", {"metadata": {"name": "platform-images"}, "data": data})
     code, _, err = line.run(*words)
     assert code == 2
     assert "(known: platform)" in err
+    more = {"data": {"services.yaml": "bag-player: host/bag-player@sha256:1\n"}}
+    api.merge(f"{core}/configmaps/platform-images", more)
+    code, _, err = line.run(*words)
+    assert (code, "(known: bag-player, platform)" in err) == (2, True)
 
 
 def test_keys_that_count_are_those_given_and_those_made_in_the_cluster(api_server: ApiServerProcess, api: Api) -> None:

@@ -5,12 +5,12 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import httpx
 import pytest
 
 from robotkube.errors import InputError, UnavailableError
 from robotkube.setup.adapters.gitea_administration import GiteaAdministration
 from robotkube.setup.loops.bootstrap import Bootstrap, FormerWebhook, Repository, plan_teams
+from tests.stages import http_calls
 from tests.stages.forge.gitea import ForgeProcess
 from tests.stages.forge.installation import ACCOUNTS, CATALOGUE, Installation, forge_setup
 
@@ -33,7 +33,7 @@ def test_a_changed_password_is_set(installation: Installation, administration: G
     run = bootstrap()
     run.forge(replace(installation.setup, accounts=accounts), administration)
     assert run.changed == ["account argocd"]
-    assert httpx.get(f"{installation.url}/api/v1/user", auth=("argocd", new)).status_code == 200
+    assert http_calls.get(f"{installation.url}/api/v1/user", auth=("argocd", new)).status_code == 200
     back = bootstrap()
     back.forge(installation.setup, administration)
     assert back.changed == ["account argocd"]
@@ -44,13 +44,13 @@ def test_tags_become_the_gates_where_only_the_administrator_made_them(
 ) -> None:
     owner = (forge_process.administrator, forge_process.administrator_password)
     path = f"{installation.url}/api/v1/repos/robotkube/catalogue/tag_protections"
-    [rule] = httpx.get(path, auth=owner).json()
+    [rule] = http_calls.get(path, auth=owner).json()
     former = {"whitelist_usernames": [forge_process.administrator]}
-    assert httpx.patch(f"{path}/{rule['id']}", json=former, auth=owner).status_code == 200
+    assert http_calls.patch(f"{path}/{rule['id']}", json=former, auth=owner).status_code == 200
     run = bootstrap()
     run.forge(installation.setup, administration)
     assert run.changed == ["protection of robotkube/catalogue"]
-    assert httpx.get(path, auth=owner).json()[0]["whitelist_usernames"] == ["gate"]
+    assert http_calls.get(path, auth=owner).json()[0]["whitelist_usernames"] == ["gate"]
 
 
 def test_access_that_is_taken_back_is_gone(installation: Installation, administration: GiteaAdministration) -> None:

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import bcrypt
-import httpx
 import pytest
 from kubernetes import client
 from pymongo.errors import OperationFailure
 
+from tests.stages import http_calls
 from tests.stages.forge.gate_process import (
     PROCESS_SECONDS_MAX,
     account_folder,
@@ -65,8 +65,8 @@ def test_the_gate_process_takes_a_proposal_and_ends_when_asked(
             until(lambda: bool(installation.pull_request(number)["merged"]), "merged")
         until(lambda: controller.announced(commit), "announced")
         counted = 'robotkube_gate_proposals_total{verdict="accepted"} 1'
-        until(lambda: counted in httpx.get(f"{url}/metrics").text, "counted, which comes after the announcement")
-        assert counted in httpx.get(f"http://127.0.0.1:{health_port}/metrics").text
+        until(lambda: counted in http_calls.get(f"{url}/metrics").text, "counted, which comes after the announcement")
+        assert counted in http_calls.get(f"http://127.0.0.1:{health_port}/metrics").text
         process.send_signal(signal.SIGTERM)
         assert process.wait(PROCESS_SECONDS_MAX) == 0
     finally:
@@ -233,7 +233,7 @@ def test_the_bootstrap_process_makes_everything_once(world: BootstrapStage, tmp_
     assert "seed of robotkube/deployment" in changed(first)
     argocd_is_wired(world, passwords)
     recorders_reach_their_own_database_only(world, passwords)
-    account = httpx.get(f"{world.forge.url}/api/v1/user", auth=("gate", passwords["gate"]))
+    account = http_calls.get(f"{world.forge.url}/api/v1/user", auth=("gate", passwords["gate"]))
     assert account.status_code == 200
     code, second = run_bootstrap(world, tmp_path, settings)
     assert code == 0

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import httpx
 import pytest
 import yaml
 
@@ -20,6 +19,7 @@ from robotkube.registry.catalogue.loops.verified_catalogue import EvidenceReader
 from robotkube.registry.evidence.core.statements import Check
 from robotkube.registry.suites.adapters.runner_protocol import RunsEndpoint
 from robotkube.testing.publishing import ScriptedRunner
+from tests.stages import http_calls
 from tests.stages.forge.catalogue_evidence import trusted_keys
 from tests.stages.forge.gate_process import (
     PROCESS_SECONDS_MAX,
@@ -127,8 +127,10 @@ def test_the_gate_process_publishes_what_the_command_submits(
     assert submit(installation, tmp_path, name, "--application", name) == 0
     assert f"{name} 0.1.0: published already with this digest" in capsys.readouterr().err
     published = 'robotkube_gate_publications_total{verdict="published"} 1'
-    until(lambda: published in httpx.get(f"{gate_url}/metrics").text, "counted, which comes after the push to main")
-    metrics = httpx.get(f"{gate_url}/metrics").text
+    until(
+        lambda: published in http_calls.get(f"{gate_url}/metrics").text, "counted, which comes after the push to main"
+    )
+    metrics = http_calls.get(f"{gate_url}/metrics").text
     assert 'robotkube_gate_publications_total{verdict="refused"} 1' in metrics
     assert 'robotkube_gate_suite_runs_total{suite="static"} 2' in metrics
 

@@ -1,6 +1,7 @@
 {{- define "bag-player.app" -}}
-image: ros
+image: bag-player
 command: [robotkube-player]
+settings: restart
 serviceAccount: bag-player
 claims: [{name: bags, claim: {{ .Values.bags.claim | quote }}, path: /var/lib/robotkube/bags}]
 config:

@@ -1,6 +1,7 @@
 {{- define "event-detector.app" -}}
-image: ros
+image: event-detector
 command: [robotkube-event-detector]
+settings: watched
 serviceAccount: event-detector
 broker: {{ (.Values.broker).existingSecret | default "" | quote }}
 database: {{ (.Values.database).existingSecret | default "" | quote }}

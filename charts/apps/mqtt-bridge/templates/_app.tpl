@@ -1,6 +1,7 @@
 {{- define "mqtt-bridge.app" -}}
-image: ros
+image: mqtt-bridge
 command: [robotkube-bridge]
+settings: watched
 serviceAccount: mqtt-bridge
 broker: {{ (.Values.broker).existingSecret | required "\n\nmqtt-bridge: no account at the broker. Give broker.existingSecret.\n" | quote }}
 config:

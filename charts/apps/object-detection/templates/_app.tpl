@@ -1,6 +1,7 @@
 {{- define "object-detection.app" -}}
-image: ros
+image: object-detection
 command: [robotkube-object-detection]
+settings: watched
 config:
   cloud: {{ .Values.detection.cloud }}
   objects: {{ .Values.detection.objects }}

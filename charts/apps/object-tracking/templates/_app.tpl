@@ -1,6 +1,7 @@
 {{- define "object-tracking.app" -}}
-image: ros
+image: object-tracking
 command: [robotkube-object-tracking]
+settings: watched
 config:
   objects: {{ .Values.tracking.objects }}
   tracks: {{ .Values.tracking.tracks }}

@@ -7,7 +7,11 @@ Argument of both templates:
   serviceAccount  one of the agent's accounts; empty: application
   broker, database, webhooks  names of Secrets, or empty; mounted at /var/run/secrets/robotkube/<word>
   claims    list of {name, claim, path}
-  files     name -> text, beside config.yaml in /etc/robotkube; a changed one restarts the pod, changed settings do not
+  files     name -> text, beside config.yaml in /etc/robotkube; a changed one restarts the pod
+  settings  how the process takes changed settings: watched (it follows its ConfigMap, the pod stays) or restart (the pod
+            template has their hash, so that a change is a new pod); empty: watched
+  results   the question of the readiness probe once the process has started (exec or httpGet, as Kubernetes writes it),
+            for a chart whose results are more than its being ready; empty: /readyz
 */ -}}
 
 {{- define "robotkube-app.configmap" -}}
@@ -95,10 +99,22 @@ spec:
   template:
     metadata:
       labels: {{- include "robotkube-app.podLabels" . | nindent 8 }}
-      {{- with .files }}
-      annotations: {robotkube.io/files: {{ toJson . | sha256sum | trunc 16 | quote }}}
+      {{- with include "robotkube-app.podAnnotations" . | fromYaml }}
+      annotations: {{- toYaml . | nindent 8 }}
       {{- end }}
     spec: {{- include "robotkube-app.pod" . | nindent 6 }}
+{{- end }}
+
+{{- /* Hashes of what the pod reads at its start alone. Argument: that of the Deployment. */ -}}
+{{- define "robotkube-app.podAnnotations" -}}
+{{- with .files }}
+robotkube.io/files: {{ toJson . | sha256sum | trunc 16 | quote }}
+{{- end }}
+{{- if eq (.settings | default "") "restart" }}
+robotkube.io/settings: {{ toJson .config | sha256sum | trunc 16 | quote }}
+{{- else if and .settings (ne .settings "watched") }}
+{{ fail (printf "\n\n%s: settings %q. Write watched or restart in templates/_app.tpl.\n" .root.Chart.Name .settings) }}
+{{- end }}
 {{- end }}
 
 {{- define "robotkube-app.pod" -}}
@@ -133,7 +149,11 @@ containers:
   ports: [{name: health, containerPort: 8081}]
   # The start is looked at every second: it is on the way from an event to its recording. Afterwards looking costs more than it tells.
   startupProbe: {httpGet: {path: /readyz, port: health}, periodSeconds: 1, timeoutSeconds: 2, failureThreshold: 300}
+  {{- with .results }}
+  readinessProbe: {{ dict "periodSeconds" 5 "timeoutSeconds" 3 "failureThreshold" 2 | merge (deepCopy .) | toJson }}
+  {{- else }}
   readinessProbe: {httpGet: {path: /readyz, port: health}, periodSeconds: 5, timeoutSeconds: 3, failureThreshold: 2}
+  {{- end }}
   livenessProbe: {httpGet: {path: /livez, port: health}, periodSeconds: 20, timeoutSeconds: 5, failureThreshold: 3}
   resources: {{- toYaml .root.Values.resources | nindent 4 }}
   securityContext:
@@ -166,7 +186,12 @@ volumes:
     - configMap: {name: kube-root-ca.crt, items: [{key: ca.crt, path: ca.crt}]}
     - downwardAPI: {items: [{path: namespace, fieldRef: {fieldPath: metadata.namespace}}]}
 {{- with .broker }}
-- {name: broker, secret: {secretName: {{ . | quote }}, defaultMode: 0440}}
+- name: broker                        # the account, and who may have signed the broker's certificate, where it has one
+  projected:
+    defaultMode: 0440
+    sources:
+    - secret: {name: {{ . | quote }}}
+    - configMap: {name: robotkube-ca, optional: true, items: [{key: ca.crt, path: ca.crt}]}
 {{- end }}
 {{- with .database }}
 - {name: database, secret: {secretName: {{ . | quote }}, defaultMode: 0440}}

@@ -144,7 +144,12 @@ volumes:
     - configMap: {name: kube-root-ca.crt, items: [{key: ca.crt, path: ca.crt}]}
     - downwardAPI: {items: [{path: namespace, fieldRef: {fieldPath: metadata.namespace}}]}
 {{- with .broker }}
-- {name: broker, secret: {secretName: {{ . | quote }}, defaultMode: 0440}}
+- name: broker                        # the account, and who may have signed the broker's certificate, where it has one
+  projected:
+    defaultMode: 0440
+    sources:
+    - secret: {name: {{ . | quote }}}
+    - configMap: {name: robotkube-ca, optional: true, items: [{key: ca.crt, path: ca.crt}]}
 {{- end }}
 {{- with .database }}
 - {name: database, secret: {secretName: {{ . | quote }}, defaultMode: 0440}}

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
+from types import ModuleType
 
 from robotkube.cli.output import FORMATS, Table, write
-from robotkube.cli.platform import Platform
 from robotkube.errors import InputError, RefusalError, RobotKubeError, UnavailableError
 
 EXIT_DONE = 0
@@ -26,142 +27,189 @@ EXIT_UNPROVED = 4
 
 @dataclass(frozen=True)
 class Command:
-    """One verb of a noun; without a verb the noun is the command."""
+    """One verb of a noun; without a verb the noun is the command. `function` of `module` (below `robotkube.cli`) runs
+    it, `adder` adds its arguments; the module is imported when it is needed, since all of them take two seconds."""
 
     noun: str
     verb: str
     summary: str
-    run: Callable[[argparse.Namespace], Table | None]
-    arguments: Callable[[argparse.ArgumentParser], None] = lambda parser: None
+    module: str
+    function: str
+    adder: str = ""
+
+    @property
+    def words(self) -> list[str]:
+        """What a person writes to name it."""
+        return [self.noun, self.verb] if self.verb else [self.noun]
+
+    def run(self, options: argparse.Namespace) -> Table | None:
+        """Run it."""
+        table: Table | None = getattr(self._imported(), self.function)(options)
+        return table
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        """Add its own arguments."""
+        if self.adder:
+            getattr(self._imported(), self.adder)(parser)
+
+    def _imported(self) -> ModuleType:
+        return import_module(f"robotkube.cli.{self.module}")
 
 
-def commands() -> Sequence[Command]:
-    """Every command; other modules of the command line add theirs here."""
-    from robotkube.cli import audit, break_glass, completion, plans, status, traces, versions
-    from robotkube.cli import rules as cli_rules
-    from robotkube.cli.recordings import commands as cli_recordings
-    from robotkube.cli.recordings import export
-    from robotkube.cli.registry import admission_list, new
-    from robotkube.cli.registry import commands as cli_registry
-    from robotkube.cli.registry import submit as cli_registry_submit
-    from robotkube.cli.tasks import explain, listing, watch
-    from robotkube.cli.tasks import submit as cli_submit
+COMMANDS = (
+    Command(
+        "task",
+        "submit",
+        "ask for an application, or change what was asked",
+        "tasks.submit",
+        "submit_task",
+        "submitting",
+    ),
+    Command("task", "list", "tasks of all agents", "tasks.listing", "list_tasks", "listing"),
+    Command("task", "show", "everything about one task", "tasks.listing", "show_task", "naming"),
+    Command(
+        "task",
+        "explain",
+        "a decision in words, also about a task that is not submitted",
+        "tasks.explain",
+        "explain_task",
+        "explaining",
+    ),
+    Command("task", "watch", "conditions of tasks as they change", "tasks.watch", "watch_tasks", "watching"),
+    Command("task", "withdraw", "delete a task: its demand ends", "tasks.listing", "withdraw_task", "withdrawing"),
+    Command("release", "list", "releases, the demands on them, and what the cluster shows", "plans", "list_releases"),
+    Command(
+        "agent",
+        "rights",
+        "what an agent may say and hear at the broker, and which commit gave each",
+        "agents.rights",
+        "show_rights",
+        "asking",
+    ),
+    Command("trace", "", "from an event to the pods and recordings it led to", "traces", "trace", "tracing"),
+    Command(
+        "audit",
+        "",
+        "what ran, for whom and on what evidence, from Git and registry alone, and what was manipulated",
+        "audit",
+        "audit",
+        "auditing",
+    ),
+    Command(
+        "status",
+        "",
+        "main of the deployment repository, what stands there unchecked, a gate that is away, strangers that run",
+        "status",
+        "show_status",
+        "asking",
+    ),
+    Command(
+        "break-glass",
+        "sign",
+        "sign a change that goes to main without the gate, as the first or the next person",
+        "break_glass",
+        "sign_change",
+        "signing",
+    ),
+    Command(
+        "break-glass",
+        "push",
+        "push a change that two people have signed to main",
+        "break_glass",
+        "push_change",
+        "pushing",
+    ),
+    Command("plan", "list", "plans of the manager with their times", "plans", "list_plans"),
+    Command("recording", "list", "what was recorded", "recordings.commands", "list_all", "listing"),
+    Command("recording", "show", "everything about one recording", "recordings.commands", "show", "naming"),
+    Command(
+        "recording",
+        "verify",
+        "prove checksums and gaps of a recording, and compare it with ledgers",
+        "recordings.commands",
+        "verify_one",
+        "verifying",
+    ),
+    Command(
+        "recording",
+        "export",
+        "a recording as a bag, and as a labelled dataset",
+        "recordings.export",
+        "export",
+        "exporting",
+    ),
+    Command("rule", "test", "the events that rules raise over bags", "rules", "test", "testing"),
+    Command("rule", "explain", "the messages and values that an event came from", "rules", "explain", "explaining"),
+    Command("registry", "list", "every application and chart", "registry.commands", "list_entries", "choosing_sources"),
+    Command("registry", "search", "applications and charts", "registry.commands", "search_entries", "searching"),
+    Command("registry", "show", "everything about one entry", "registry.commands", "show_entry", "naming"),
+    Command("registry", "graph", "versions and their upgrades", "registry.commands", "show_graph", "drawing"),
+    Command(
+        "registry",
+        "validate",
+        "every mistake in the catalogue's sources",
+        "registry.commands",
+        "validate_registry",
+        "validating",
+    ),
+    Command("registry", "new", "start an application: charts and their entries", "registry.new", "new", "naming"),
+    Command(
+        "registry",
+        "try",
+        "run the suites that can be run here, before anything is submitted",
+        "registry.trying",
+        "try_suites",
+        "choosing",
+    ),
+    Command(
+        "registry",
+        "submit",
+        "have charts and applications verified and published",
+        "registry.submit",
+        "submit",
+        "submitting",
+    ),
+    Command(
+        "registry",
+        "admission",
+        "what may run, as a ConfigMap; or what would not start again (--stranded)",
+        "registry.admission_list",
+        "show_list",
+        "listing_arguments",
+    ),
+    Command(
+        "image",
+        "build",
+        "build a folder's Dockerfile, the same each time, with its bill of materials",
+        "images.building",
+        "build",
+        "choosing",
+    ),
+    Command(
+        "image",
+        "push",
+        "push an image with its bill to its publisher's place, and write its reference where charts are packed",
+        "images.pushing",
+        "push",
+        "choosing",
+    ),
+    Command("version", "", "versions of this program and of the platform", "versions", "show_versions", "asking"),
+    Command("completion", "", "completion of commands in a shell", "completion", "complete", "naming"),
+)
+"""Every command; other modules of the command line add theirs here."""
 
-    return [
-        Command(
-            "task",
-            "submit",
-            "ask for an application, or change what was asked",
-            cli_submit.submit_task,
-            cli_submit.submitting,
-        ),
-        Command("task", "list", "tasks of all agents", listing.list_tasks, listing.listing),
-        Command("task", "show", "everything about one task", listing.show_task, listing.naming),
-        Command(
-            "task",
-            "explain",
-            "a decision in words, also about a task that is not submitted",
-            explain.explain_task,
-            explain.explaining,
-        ),
-        Command("task", "watch", "conditions of tasks as they change", watch.watch_tasks, watch.watching),
-        Command("task", "withdraw", "delete a task: its demand ends", listing.withdraw_task, listing.withdrawing),
-        Command("release", "list", "releases, the demands on them, and what the cluster shows", plans.list_releases),
-        Command("trace", "", "from an event to the pods and recordings it led to", traces.trace, traces.tracing),
-        Command(
-            "audit",
-            "",
-            "what ran, for whom and on what evidence, from Git and registry alone, and what was manipulated",
-            audit.audit,
-            audit.auditing,
-        ),
-        Command(
-            "status",
-            "",
-            "main of the deployment repository, what stands there unchecked, a gate that is away, strangers that run",
-            status.show_status,
-            status.asking,
-        ),
-        Command(
-            "break-glass",
-            "sign",
-            "sign a change that goes to main without the gate, as the first or the next person",
-            break_glass.sign_change,
-            break_glass.signing,
-        ),
-        Command(
-            "break-glass",
-            "push",
-            "push a change that two people have signed to main",
-            break_glass.push_change,
-            break_glass.pushing,
-        ),
-        Command("plan", "list", "plans of the manager with their times", plans.list_plans),
-        Command("recording", "list", "what was recorded", cli_recordings.list_all, cli_recordings.listing),
-        Command("recording", "show", "everything about one recording", cli_recordings.show, cli_recordings.naming),
-        Command(
-            "recording",
-            "verify",
-            "prove checksums and gaps of a recording, and compare it with ledgers",
-            cli_recordings.verify_one,
-            cli_recordings.verifying,
-        ),
-        Command(
-            "recording",
-            "export",
-            "a recording as a bag, and as a labelled dataset",
-            export.export,
-            export.exporting,
-        ),
-        Command("rule", "test", "the events that rules raise over bags", cli_rules.test, cli_rules.testing),
-        Command(
-            "rule",
-            "explain",
-            "the messages and values that an event came from",
-            cli_rules.explain,
-            cli_rules.explaining,
-        ),
-        Command(
-            "registry", "list", "every application and chart", cli_registry.list_entries, cli_registry.choosing_sources
-        ),
-        Command("registry", "search", "applications and charts", cli_registry.search_entries, cli_registry.searching),
-        Command("registry", "show", "everything about one entry", cli_registry.show_entry, cli_registry.naming),
-        Command("registry", "graph", "versions and their upgrades", cli_registry.show_graph, cli_registry.drawing),
-        Command(
-            "registry",
-            "validate",
-            "every mistake in the catalogue's sources",
-            cli_registry.validate_registry,
-            cli_registry.validating,
-        ),
-        Command(
-            "registry",
-            "new",
-            "start an application: a chart and its entries",
-            new.new,
-            new.naming,
-        ),
-        Command(
-            "registry",
-            "submit",
-            "have charts and applications verified and published",
-            cli_registry_submit.submit,
-            cli_registry_submit.submitting,
-        ),
-        Command(
-            "registry",
-            "admission",
-            "what may run, as a ConfigMap; or what would not start again (--stranded)",
-            admission_list.show_list,
-            admission_list.listing_arguments,
-        ),
-        Command("version", "", "versions of this program and of the platform", versions.show_versions, versions.asking),
-        Command("completion", "", "completion of commands in a shell", completion.complete, completion.naming),
-    ]
+
+def add_access_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the options of every command, from which `Platform` is made."""
+    parser.add_argument("--kubeconfig", help="file with access to the cluster (default: KUBECONFIG)")
+    parser.add_argument("--context", help="context of the kubeconfig")
+    parser.add_argument("--platform-namespace", default="robotkube", help="where the platform is installed")
+    parser.add_argument("--argocd-namespace", default="argocd", help="where Argo CD is installed")
+    parser.add_argument("--manager", default="manager", help="which manager, where there are several")
 
 
-def parser(commands: Sequence[Command]) -> argparse.ArgumentParser:
-    """The command line's grammar."""
+def parser(commands: Sequence[Command] = COMMANDS) -> argparse.ArgumentParser:
+    """The command line's grammar, of these commands."""
     root = argparse.ArgumentParser(prog="robotkube", description="Look into and steer a RobotKube platform.")
     nouns = root.add_subparsers(dest="noun", required=True, metavar="<noun>")
     parsers: dict[str, argparse._SubParsersAction[argparse.ArgumentParser]] = {}
@@ -175,16 +223,23 @@ def parser(commands: Sequence[Command]) -> argparse.ArgumentParser:
                 )
                 parsers[command.noun] = noun.add_subparsers(dest="verb", required=True, metavar="<verb>")
             verb = parsers[command.noun].add_parser(command.verb, help=command.summary, description=command.summary)
-        Platform.add_arguments(verb)
+        add_access_arguments(verb)
         verb.add_argument("-o", "--output", choices=FORMATS, default="table", help="form of the data on stdout")
-        command.arguments(verb)
+        command.add_arguments(verb)
         verb.set_defaults(command=command, grammar=root)
     return root
 
 
+def grammar_of(words: Sequence[str]) -> argparse.ArgumentParser:
+    """The grammar as far as these words need it: their command's, else, and for completion, that of all commands."""
+    named = [command for command in COMMANDS if list(words[: len(command.words)]) == command.words]
+    return parser(named if named and named[0].noun != "completion" else COMMANDS)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command, and return the exit code."""
-    options = parser(commands()).parse_args(arguments)
+    words = sys.argv[1:] if arguments is None else arguments
+    options = grammar_of(words).parse_args(words)
     try:
         table = options.command.run(options)
     except RobotKubeError as error:

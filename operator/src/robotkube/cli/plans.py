@@ -8,7 +8,9 @@ from typing import Any
 
 from robotkube.cli.output import Table
 from robotkube.cli.platform import Platform
-from robotkube.delivery.manager.adapters.kubernetes_cluster import read_application, read_pod
+from robotkube.delivery.manager.adapters.kubernetes_cluster import read_application
+from robotkube.delivery.manager.adapters.pod_states import read_pod
+from robotkube.errors import RobotKubeError
 from robotkube.foundation.kubernetes.core.objects import is_withdrawn, object_key
 
 
@@ -27,11 +29,12 @@ def _seconds(plan: Mapping[str, Any]) -> dict[str, float | None]:
 
 def list_releases(options: argparse.Namespace) -> Table:
     """List the releases' Argo CD Applications with the plan that wrote them, the tasks that demand them (none: the
-    initial configuration), and the nodes of their pods."""
+    initial configuration), the nodes of their pods, and what an update of their chart does with them."""
     platform = Platform(options)
     rows = []
     demands = _demands(platform.tasks())
     nodes = _nodes(platform.pods())
+    updates = _updates(platform)
     for item in platform.applications():
         application = read_application(item)
         key = f"{item['spec']['destination']['namespace']}/{_release_name(item)}"
@@ -45,14 +48,25 @@ def list_releases(options: argparse.Namespace) -> Table:
                 "plan": application.plan,
                 "sync": application.sync,
                 "health": application.health,
+                "update": updates.get(key, ""),
                 "messages": list(application.conditions),
             }
         )
     return Table(
         "releases",
-        ("release", "chart", "digest", "plan", "sync", "health", "nodes", "demands", "messages"),
+        ("release", "chart", "digest", "plan", "sync", "health", "nodes", "demands", "update", "messages"),
         sorted(rows, key=lambda row: str(row["release"])),
     )
+
+
+def _updates(platform: Platform) -> dict[str, str]:
+    """The state of each release that an update is not through with, and why; none where the manager's pages may not be
+    read or do not answer: the rest is the cluster's."""
+    try:
+        releases = platform.page("/updates")["releases"]
+    except RobotKubeError:
+        return {}
+    return {key: f"{one['state']}: {one['text']}" for key, one in releases.items()}
 
 
 def _demands(tasks: Iterable[Mapping[str, Any]]) -> dict[str, list[str]]:

@@ -26,7 +26,9 @@ FORGE = "forge"
 EVIDENCE_KEYS = "evidence-keys"
 MADE_KEYS = "robotkube.io/made-keys"  # its annotation with the ConfigMap of keys that were made in the cluster
 IMAGES = "platform-images"
-IMAGES_KEY = "images.yaml"
+SUITE_RUNNER, SETTINGS_KEY = "suite-runner", "config.yaml"
+RIGHTS = "rights"
+IMAGES_KEY, SERVICES_KEY = "images.yaml", "services.yaml"
 DATABASE_ACCOUNT = "database-account"
 AGENT_LABEL = "robotkube.io/agent"
 GATE_SELECTOR = "app.kubernetes.io/part-of=robotkube,app.kubernetes.io/component=gate"
@@ -42,15 +44,6 @@ class Platform:
         self._argocd = options.argocd_namespace
         self._manager = options.manager
 
-    @staticmethod
-    def add_arguments(parser: argparse.ArgumentParser) -> None:
-        """Add the options of every command."""
-        parser.add_argument("--kubeconfig", help="file with access to the cluster (default: KUBECONFIG)")
-        parser.add_argument("--context", help="context of the kubeconfig")
-        parser.add_argument("--platform-namespace", default="robotkube", help="where the platform is installed")
-        parser.add_argument("--argocd-namespace", default="argocd", help="where Argo CD is installed")
-        parser.add_argument("--manager", default="manager", help="which manager, where there are several")
-
     def tasks(self, namespace: str = "") -> Sequence[Mapping[str, Any]]:
         """The TaskDescriptions of one or all namespaces."""
         scope = f"/namespaces/{namespace}" if namespace else ""
@@ -62,8 +55,7 @@ class Platform:
 
     def task_writer(self, dry_run: bool = False) -> KubernetesTasks:
         """A writer of tasks; with `dry_run` the API server only checks each write."""
-        call = functools.partial(client.call, self._api)
-        return KubernetesTasks(call, dry_run)
+        return KubernetesTasks(self.call, dry_run)
 
     def watch_tasks(self, changed: Callable[[str, Any, Any], None], namespace: str = "") -> client.ResourceWatch:
         """A watch on the tasks of one or all namespaces: `changed` gets key, object before and now (None: not
@@ -201,8 +193,25 @@ class Platform:
 
     def images(self) -> Mapping[str, str]:
         """The references by digest of the platform's images, by name."""
+        return self._images(IMAGES_KEY)
+
+    def service_images(self) -> Mapping[str, str]:
+        """The references by digest of the images of application services, by name."""
+        return self._images(SERVICES_KEY)
+
+    def suite_runner(self) -> Mapping[str, Any]:
+        """The settings document of the suite-runner; empty when there is none."""
+        data = self._config_map(SUITE_RUNNER).get("data") or {}
+        return read_mapping(data.get(SETTINGS_KEY, "{}"), f"configmap {self._namespace}/{SUITE_RUNNER}")
+
+    @property
+    def call(self) -> Callable[..., Any]:
+        """Requests to the API server by the account of the kubeconfig, as those of `client.call`."""
+        return functools.partial(client.call, self._api)
+
+    def _images(self, key: str) -> Mapping[str, str]:
         data = self._config_map(IMAGES).get("data") or {}
-        return read_mapping(data.get(IMAGES_KEY, "{}"), f"configmap {self._namespace}/{IMAGES}")
+        return read_mapping(data.get(key, "{}"), f"configmap {self._namespace}/{IMAGES}, {key}")
 
     def _config_map(self, name: str) -> Mapping[str, Any]:
         """A ConfigMap of the platform's namespace; empty when there is none."""
@@ -210,6 +219,16 @@ class Platform:
             return self._read("GET", f"/api/v1/namespaces/{self._namespace}/configmaps/{name}")
         except KeyError:
             return {}
+
+    def rights_settings(self) -> str:
+        """The settings of the process that keeps the broker's rights; InputError when there is none."""
+        text = str((self._config_map(RIGHTS).get("data") or {}).get("config.yaml") or "")
+        if not text:
+            raise InputError(
+                f"no ConfigMap {RIGHTS} in namespace {self._namespace}; see --platform-namespace. Rights at a broker "
+                "of your own are its owner's"
+            )
+        return text
 
     def agents(self) -> Sequence[str]:
         """The namespaces of declared agents."""

@@ -23,8 +23,15 @@ from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.yaml_codec import read_mapping, read_mappings
 from robotkube.robots.bags.adapters.command_line_bags import Bags
 from robotkube.robots.detector.adapters.event_pages import events_page
-from robotkube.robots.detector.core.settings import DetectorSettings, SettingsContext, read_detector_settings
+from robotkube.robots.detector.core.settings import (
+    MISSING_TYPE_FIX,
+    ROS,
+    DetectorSettings,
+    SettingsContext,
+    read_detector_settings,
+)
 from robotkube.robots.detector.loops.rule_replay import PatientWorkers, ReplayResult, replay, topics_read
+from robotkube.robots.ros.core.known_types import is_packaged, unknown_type
 from robotkube.robots.ros.core.topic_patterns import TopicPattern
 from robotkube.robots.rules.adapters.child_processes import installed_rules
 from robotkube.robots.rules.core import Edge
@@ -78,7 +85,7 @@ def test(options: argparse.Namespace) -> Table:
         read_expectations(expected, options.expect, 0)  # its mistakes are reported before the bags are read
     with Bags([Path(bag) for bag in options.bags], complain) as bags:
         settings = read_rules_file(Path(options.rules), bags, options.agent, complain)
-        for problem in _absent(settings, bags.types):
+        for problem in [*_absent(settings, bags.types), *_not_live(settings)]:
             complain(problem)
         began = time.monotonic()
         result = run(settings, bags, options.start)
@@ -214,6 +221,17 @@ def _absent(settings: DetectorSettings, types: Mapping[str, str]) -> Iterator[st
         there = {kind for name, kind in types.items() if TopicPattern(pattern).agent(name) is not None}
         if wanted not in there:
             yield f"{pattern}: no topic of the bags fits as {wanted}; they have {', '.join(sorted(there)) or 'none'}"
+
+
+def _not_live(settings: DetectorSettings) -> Iterator[str]:
+    """Problems: topics of rules whose type bags define and no detector of the platform could subscribe to."""
+    used = {pattern.text for rule in settings.rules for pattern in rule.topics}
+    for topic in settings.topics:
+        if topic.pattern.text in used and topic.source == ROS and not is_packaged(topic.type):
+            yield (
+                f"{topic.pattern.text}: {unknown_type(topic.type)}: read here by the bags' definition, refused by the "
+                f"packaged event-detector; {MISSING_TYPE_FIX}"
+            )
 
 
 def _table(result: ReplayResult, scored: Score | None, problems: Sequence[str]) -> Table:

@@ -13,7 +13,8 @@ from robotkube.cli.platform import Platform
 from robotkube.cli.recordings import commands as cli_recordings
 from robotkube.cli.tasks.listing import state
 from robotkube.delivery.deployment.core.releases import application_name
-from robotkube.delivery.manager.adapters.kubernetes_cluster import read_application, read_pod
+from robotkube.delivery.manager.adapters.kubernetes_cluster import read_application
+from robotkube.delivery.manager.adapters.pod_states import read_pod
 from robotkube.errors import InputError, RefusalError, UnavailableError
 from robotkube.foundation.kubernetes.core.objects import object_key
 

@@ -10,6 +10,8 @@ from typing import Any
 from robotkube.delivery.deployment.core.releases import Release, application_name
 from robotkube.delivery.manager.core.observation import ApplicationState, PodState
 from robotkube.delivery.manager.core.placement.placement import NodeState
+from robotkube.delivery.manager.core.updates.probe_answers import ProbeLoss
+from robotkube.delivery.manager.core.updates.rule_events import RuleEvent
 
 
 @dataclass
@@ -87,6 +89,16 @@ class MemoryCluster:
     states: dict[str, ApplicationState] = field(default_factory=dict)
     running: dict[str, list[PodState]] = field(default_factory=dict)
     reports: list[tuple[str, str, str]] = field(default_factory=list)
+    events: list[RuleEvent] = field(default_factory=list)
+    losses: list[ProbeLoss] = field(default_factory=list)
+
+    def rule_events(self) -> Sequence[RuleEvent]:
+        """The events of rules."""
+        return list(self.events)
+
+    def probe_losses(self) -> Sequence[ProbeLoss]:
+        """The losses of readiness."""
+        return list(self.losses)
 
     def report_on_node(self, node: str, reason: str, text: str) -> None:
         """Remember node, reason and text, once."""

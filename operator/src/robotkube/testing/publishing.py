@@ -124,6 +124,7 @@ class MemoryChartRegistry:
     tags: dict[str, dict[str, str]] = field(default_factory=dict)
     attached: dict[tuple[str, str], list[Attachment]] = field(default_factory=dict)
     before: Callable[[str], None] = lambda method: None
+    images: dict[str, set[str]] = field(default_factory=dict)
 
     def push_chart(self, organisation: str, chart: PackedChart, tag: str = "") -> str:
         """Push a chart as a publisher does."""
@@ -135,7 +136,8 @@ class MemoryChartRegistry:
     def manifest_digest(self, repository: str, reference: str) -> str | None:
         """The manifest's digest by tag or digest; None when it is not there."""
         digest = self.tags.get(repository, {}).get(reference, reference)
-        return digest if digest in self.charts.get(repository, {}) else None
+        present = digest in self.charts.get(repository, {}) or digest in self.images.get(repository, ())
+        return digest if present else None
 
     def pull_chart(self, repository: str, digest: str) -> PulledChart:
         """The unpacked chart of a digest."""
@@ -167,6 +169,22 @@ class MemoryChartRegistry:
         known = {attachment.digest: attachment for attachment in self.attachments(source, digest)}
         there = self.attached.setdefault((target, digest), [])
         there += [known[name] for name in attachments if known[name] not in there]
+
+    def copy_image(self, source: str, target: str, digest: str, artifact_type: str) -> None:
+        """Copy an image, which is its digest alone, with what of that type is attached to it."""
+        self.before("copy_image")
+        if digest not in self.images.get(source, ()):
+            raise InputError(f"{source} has no manifest {digest}; push it again")
+        self.images.setdefault(target, set()).add(digest)
+        there = self.attached.setdefault((target, digest), [])
+        attached = [one for one in self.attachments(source, digest) if one.artifact_type == artifact_type]
+        there += [one for one in attached if one not in there]
+
+    def remove_image(self, repository: str, digest: str) -> None:
+        """Remove an image and what is attached to it."""
+        self.before("remove_image")
+        self.images.get(repository, set()).discard(digest)
+        self.attached.pop((repository, digest), None)
 
     def _tag(self, repository: str, tag: str, digest: str) -> None:
         present = self.tags.setdefault(repository, {}).setdefault(tag, digest)

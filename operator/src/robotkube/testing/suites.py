@@ -73,7 +73,7 @@ def make_request(suite: str = "install", seconds: int = 30, attempt: str = "a1",
 @dataclass
 class MemoryTestNamespace:
     """A test namespace in memory whose course a test decides. `readiness` answers wait_ready in order (then: ready),
-    `runs` run_pod, `ends` delete, `pods_seen` pods."""
+    `runs` run_pod, `ends` delete, `pods_seen` pods; `log` is what each pod logged."""
 
     namespace: str = "robotkube-suite-0"
     agent: str = "cloud-0"
@@ -87,6 +87,7 @@ class MemoryTestNamespace:
     objects: dict[tuple[str, str], Object] = field(default_factory=dict)
     on_apply: Callable[[Sequence[Object]], None] | None = None
     pods_seen: list[Sequence[Object]] = field(default_factory=list)
+    log: str = ""
 
     def provide(self, config_maps: Mapping[str, Mapping[str, str]]) -> None:
         """Note the ConfigMaps."""
@@ -118,8 +119,8 @@ class MemoryTestNamespace:
         return [{**item["spec"]["template"], "kind": "Pod"} for item in deployments]
 
     def logs(self, pod: str) -> str:
-        """No logs."""
-        return ""
+        """The log."""
+        return self.log
 
     def run_pod(
         self,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -69,3 +70,14 @@ def test_a_wrong_lock_file_is_refused_with_file_and_key(tmp_path: Path, text: st
     with pytest.raises(InputError) as refused:
         images.read_lock(path)
     assert str(refused.value).startswith(f"{path}: {message}")
+
+
+def test_an_image_that_was_cut_from_another_names_that_archive(tmp_path: Path) -> None:
+    pause = {"reference": "a/pause@sha256:1", "archive": "own.tar", "ground": "below.tar"}
+    (tmp_path / "images.json").write_text(json.dumps({"pause": pause}), encoding="utf-8")
+    (tmp_path / "own.tar").write_bytes(b"")
+    with pytest.raises(InputError, match=r"pause.ground: .*below.tar does not exist; build the images again"):
+        images.read_lock(tmp_path / "images.json")
+    (tmp_path / "below.tar").write_bytes(b"")
+    [image] = images.read_lock(tmp_path / "images.json")
+    assert (image.archive, image.ground) == (tmp_path / "own.tar", tmp_path / "below.tar")

@@ -47,6 +47,12 @@ def test_labels_and_taints_follow_role_agent_and_capabilities(tmp_path: Path) ->
     }
 
 
+def test_a_capability_may_be_that_of_the_first_nodes_only(tmp_path: Path) -> None:
+    entry = {**VEHICLES, "capabilities": ["radar", {"lidar": 2}]}
+    nodes = topology.read(written(tmp_path, entry), {"vehicles": "3"}).nodes
+    assert [node.capabilities for node in nodes] == [("radar", "lidar"), ("radar", "lidar"), ("radar",)]
+
+
 def test_a_parameter_overrides_the_count(tmp_path: Path) -> None:
     assert len(topology.read(written(tmp_path, PLATFORM, VEHICLES), {"vehicles": "3"}).nodes) == 4
 
@@ -63,6 +69,7 @@ def test_a_parameter_overrides_the_count(tmp_path: Path) -> None:
         ({**PLATFORM, "capacity": {"cpu": "1", "memory": "2G"}}, "topology.nodes[0].capacity.memory: '2G' must be"),
         ({**PLATFORM, "capacity": None}, "topology.nodes[0].capacity: is missing; add"),
         ({**PLATFORM, "capabilities": "recording"}, "topology.nodes[0].capabilities: must be a list"),
+        ({**PLATFORM, "capabilities": [{"lidar": "two"}]}, "topology.nodes[0].capabilities.lidar: 'two' must be how"),
         ("platform-0", "topology.nodes[0]: must be a mapping"),
     ],
 )

@@ -12,10 +12,17 @@ from pathlib import Path
 
 import pytest
 
-from ci.images import buildah, machine
-from ci.images.building import BuiltImage, build_images
+from ci import message_types
+from ci.images import machine
+from ci.images.building import NAMES, build_images
+from ci.images.built import BuiltImage
 from ci.images.catalogue import IMAGES, TOP
+from ci.images.services import GROUND, SERVICES
+from robotkube.registry.images.adapters import buildah
+from robotkube.registry.suites.core import image_checks
+from robotkube.robots.ros.core.packaged_types import PACKAGED_IMAGES, PACKAGED_TYPES
 from tests.stages import programs
+from tests.stages.registry.publications import write_sources
 
 pytestmark = pytest.mark.processes
 
@@ -65,13 +72,14 @@ def test_two_folders_give_one_digest_and_the_second_run_is_cached(tools: Path, t
 
 def content(image: BuiltImage, path: str) -> bytes:
     """A file of the image's layers, empty when there is none."""
-    with tarfile.open(image.archive) as archive:
-        for digest in image.layers:
-            blob = archive.extractfile(f"blobs/{digest.replace(':', '/')}")
-            with tarfile.open(fileobj=blob) as layer:
-                if path in layer.getnames():
-                    file = layer.extractfile(path)
-                    return file.read() if file else b""
+    for name in (image.archive, *([image.ground] if image.ground else [])):
+        with tarfile.open(name) as archive:
+            blobs = {f"blobs/{digest.replace(':', '/')}" for digest in image.layers}
+            for blob in sorted(blobs & set(archive.getnames())):
+                with tarfile.open(fileobj=archive.extractfile(blob)) as layer:
+                    if path in layer.getnames():
+                        file = layer.extractfile(path)
+                        return file.read() if file else b""
     return b""
 
 
@@ -107,6 +115,30 @@ def test_a_failing_build_shows_its_output_and_leaves_nothing(tools: Path, tmp_pa
     assert left.stdout.strip() == ""
 
 
+def test_the_dockerfile_of_a_new_service_builds_what_the_images_suite_asks_for(tmp_path: Path) -> None:
+    """On nothing, in place of an image with ROS."""
+    write_sources(tmp_path / "sources", "delivery", "--services", "order,plan")
+    chart, cache = tmp_path / "sources" / "charts" / "apps" / "delivery-plan", tmp_path / "cache"
+    cache.mkdir()
+    builder = buildah.Buildah(cache / "storage", cache / "log")
+    tag = "localhost/delivery-plan:1"
+    builder.build(chart, chart / "Dockerfile", tag, {"BASE": "scratch"}, (), fresh=False)
+    words = ["buildah", "--root", str(cache / "storage/root"), "--runroot", str(cache / "storage/run")]
+    words += ["--storage-driver", "overlay", "inspect", "--type", "image", tag]
+    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    settings = json.loads(done.stdout)["OCIv1"]["config"]
+    assert settings["Entrypoint"] == ["python3", "/opt/delivery-plan/node.py"]
+    assert list(image_checks.user_problems(tag, settings)) == []
+    assert list(image_checks.label_problems(tag, settings)) == []
+    builder.export(tag, cache / "layout")
+    names: set[str] = set()
+    for blob in (cache / "layout").iterdir():
+        if tarfile.is_tarfile(blob):
+            with tarfile.open(blob) as layer:
+                names |= set(layer.getnames())
+    assert {"opt/delivery-plan/node.py", "opt/delivery-plan/answers.py"} <= names
+
+
 @pytest.fixture(scope="module")
 def twice(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, BuiltImage]]:
     return [build_images(programs.folder(), tmp_path_factory.mktemp("images")) for _ in range(2)]
@@ -120,7 +152,7 @@ def test_all_images_built_twice_from_nothing_have_the_same_digests(twice: list[d
     assert references[0] == references[1]
     bills = [{name: image.bill.read_bytes() for name, image in built.items()} for built in twice]
     assert bills[0] == bills[1]
-    assert set(references[0]) == {image.name for image in IMAGES}
+    assert set(references[0]) == set(NAMES)
 
 
 @pytest.mark.thorough
@@ -130,8 +162,29 @@ def test_images_share_the_base_layer_and_stay_small(twice: list[dict[str, BuiltI
     for image in IMAGES:
         if image.stands_on and image.name != "pause":
             assert next(iter(built[image.name].layers)) == base
+    for service in SERVICES:
+        assert list(built[service.name].layers)[:-1] == list(built[GROUND].layers)[:-1]
+        assert list(built[service.name].layers.values())[-1] < 3_500_000
     layers = {digest: size for image in built.values() for digest, size in image.layers.items()}
-    assert sum(layers.values()) < 836_000_000  # the suites bring helm, 60 MB, the gate chart-renderer, 36 MB
+    assert sum(layers.values()) < 842_000_000  # the suites bring helm, 60 MB, the gate chart-renderer, 36 MB
+
+
+def paths_of(image: BuiltImage) -> Iterator[str]:
+    """The paths of all files of the image's layers."""
+    for name in (image.archive, *([image.ground] if image.ground else [])):
+        with tarfile.open(name) as archive:
+            blobs = {f"blobs/{digest.replace(':', '/')}" for digest in image.layers}
+            for blob in sorted(blobs & set(archive.getnames())):
+                with tarfile.open(fileobj=archive.extractfile(blob)) as layer:
+                    yield from layer.getnames()
+
+
+@pytest.mark.thorough
+def test_images_know_the_message_types_that_are_listed(twice: list[dict[str, BuiltImage]]) -> None:
+    listed = {package: tuple(names.split()) for package, names in PACKAGED_TYPES.items()}
+    known = {name: message_types.types_among(paths_of(image)) for name, image in twice[0].items()}
+    assert {name for name, types in known.items() if types} == PACKAGED_IMAGES
+    assert all(types == listed for types in known.values() if types)
 
 
 @pytest.mark.thorough

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from ci.images import machine
-from ci.images.buildah import BuildError
 from ci.images.building import build_images
 from ci.images.catalogue import BY_NAME, IMAGES, TOP, Image, Sources
 from ci.images.contexts import ContextError, Copied, assemble, check, key_of
+from robotkube.registry.images.adapters.buildah import BuildError
 
 
 @pytest.fixture

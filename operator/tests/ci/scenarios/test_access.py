@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from kubernetes import client
 
+from robotkube.robots.bags.core.playback import read_run
 from scenarios import definition
-from scenarios.runner import acting
+from scenarios.runner import acting, driving
 from scenarios.runner.access import GATE, PLATFORM, Access
 from scenarios.runner.tasks import TaskWatch
 from scenarios.runner.waiting import RunError
@@ -39,6 +41,35 @@ def access(api_server: ApiServerProcess, api: Api) -> Iterator[Access]:
     for task in found.tasks():
         found.delete_task(task["metadata"]["namespace"], task["metadata"]["name"])
     found.disconnect()
+
+
+def test_players_drive_on_until_their_last_event_is_over(access: Access) -> None:
+    scenario = definition.load(SCENARIOS / "pose-point-cloud-db-recording", variant="small")
+    for namespace in {*scenario.players, "cloud-0"}:
+        with contextlib.suppress(client.ApiException):  # it is there already
+            access.core.create_namespace({"metadata": {"name": namespace}})
+    said: list[str] = []
+    driving.drive(access, scenario, 10, said.append)
+    orders = [read_run(access.simulation(agent), agent) for agent in scenario.players]
+    assert orders[0] is not None
+    assert set(orders) == {orders[0]}, "all of them on one clock"
+    assert orders[0].laps * orders[0].lap == pytest.approx(600e9, rel=0.1)
+    named = {"namespace": "cloud-0", "requester": "x", "reason": "x", "application": "greeting", "parameters": {}}
+    body = acting.task({**named, "name": "near"})
+    body["spec"]["event"]["rule"] = scenario.story.rule
+    access.create_task(body)
+    access.create_task(acting.task({**named, "name": "by-hand"}))
+    stopping = threading.Thread(target=driving.stop, args=(access, scenario, said.append))
+    stopping.start()
+    stopping.join(2.5)
+    assert stopping.is_alive(), "an event lasts"
+    assert access.simulation("vehicle-00")
+    access.delete_task("cloud-0", "near")
+    stopping.join(20)
+    assert not stopping.is_alive()
+    assert not any(access.simulation(agent) for agent in scenario.players)
+    driving.drive(access, scenario, 0, said.append)  # they stand already
+    assert len(said) == 2
 
 
 def test_tasks_of_all_stories_are_taken_watched_and_withdrawn(access: Access) -> None:
@@ -83,3 +114,9 @@ def test_nodes_are_cordoned_and_parts_of_the_platform_killed(access: Access) -> 
     assert [one.metadata.name for one in access.pods(GATE)] == ["gate-x"]
     access.kill("gate")
     assert list(access.pods(GATE)) == []
+
+
+def test_nothing_runs_inside_a_pod_that_is_not_there(access: Access) -> None:
+    with pytest.raises(RunError, match=rf"pod {PLATFORM}/nobody: python3 cannot be run in it: (?s:.*)404 Not Found"):
+        access.run_inside(PLATFORM, "nobody", ["python3", "-c", ""], 5)
+    assert isinstance(access.tasks(), list), "what the stream did to its connection is not done to this one"

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import base64
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import pytest
+from kubernetes import client
 
 from robotkube.delivery.tasks.core.task_description import read_task
-from scenarios.runner import acting
+from scenarios.runner import acting, listening
 from scenarios.runner.inputs import Plan
 from scenarios.runner.tasks import TaskWatch
 from scenarios.runner.waiting import RunError
@@ -26,6 +28,8 @@ class ActingStage:
     found: dict[str, dict[str, Any]] = field(default_factory=dict)
     releases: dict[str, Any] = field(default_factory=dict)
     running: dict[str, Any] = field(default_factory=dict)
+    bridge: Any = None
+    heard: list[str] = field(default_factory=list)
 
     def task(self, namespace: str, name: str) -> Any:
         return self.found.get(f"{namespace}/{name}")
@@ -54,6 +58,14 @@ class ActingStage:
 
     def state(self, _: Any) -> str:
         return "the state"
+
+    def pods(self, namespace: str) -> list[Any]:
+        return [self.bridge] if namespace == "vehicle-00" and self.bridge else []
+
+    def run_inside(self, namespace: str, pod: str, command: Sequence[str], seconds: float) -> str:
+        assert seconds > float(command[-1]), "it ends by itself"
+        self.doings.append(f"listen {namespace}/{pod} {' '.join(command[3:6])}")
+        return "".join(f"{line}\n" for line in self.heard)
 
     def stop_node(self, name: str) -> None:
         self.doings.append(f"stop {name}")
@@ -108,6 +120,29 @@ def test_steps_are_done_in_their_order_and_noted(actor: acting.Actor, world: Act
     ]
     assert actor.done[0].what == "submits task cloud-0/a"
     assert actor.done[1].what == "waits"
+
+
+HEARD = {"heard": "/vehicles/roadside_0/objects", "type": "geometry_msgs/msg/PoseArray", "at": "vehicle-00"}
+
+
+def bridge(ready: str) -> client.V1Pod:
+    conditions = [client.V1PodCondition(type="Ready", status=ready)]
+    metadata = client.V1ObjectMeta(name="mqtt-bridge-x", labels={"app.kubernetes.io/name": "mqtt-bridge"})
+    return client.V1Pod(metadata=metadata, status=client.V1PodStatus(phase="Running", conditions=conditions))
+
+
+def test_messages_count_where_they_are_heard(actor: acting.Actor, world: ActingStage) -> None:
+    """In the agent's bridge, which every agent has that hears of others, once it is ready."""
+    [step] = read_steps([{"name": "hears", "until": [{**HEARD, "at_least": 2}]}])
+    [state] = step.until
+    assert str(state) == "2 messages of /vehicles/roadside_0/objects heard on vehicle-00"
+    for there, messages, holds in (("", 2, False), ("False", 2, False), ("True", 1, False), ("True", 2, True)):
+        world.bridge = bridge(there) if there else None
+        world.heard = [base64.b64encode(b"message").decode()] * messages
+        assert actor._holds(state) is holds
+    listened = "vehicle-00/mqtt-bridge-x /vehicles/roadside_0/objects geometry_msgs/msg/PoseArray 2"
+    assert world.doings == [f"listen {listened}"] * 2
+    assert [bytes(one) for one in listening.messages("\n".join(world.heard))] == [b"message"] * 2
 
 
 def test_what_is_not_seen_ends_the_story_and_is_taken_back(actor: acting.Actor, world: ActingStage) -> None:

@@ -102,6 +102,11 @@ def rehearse(rehearsal: Rehearsal, steps: Sequence[Any]) -> RunInputs:
     rehearsal.tasks()
     actor = acting.Actor(rehearsal, rehearsal, rehearsal.releases, lambda _: None)  # type: ignore[arg-type]
     actor.perform(tuple(replace(step, seconds=1.0) for step in steps))
+    return inputs_of(rehearsal, actor)
+
+
+def inputs_of(rehearsal: Rehearsal, actor: acting.Actor) -> RunInputs:
+    """What was left behind so far."""
     nothing: dict[str, Any] = dict.fromkeys(
         ("stored", "recordings", "edges", "plans", "pull_requests", "commits", "pods"), ()
     )
@@ -200,45 +205,61 @@ def test_what_ran_on_a_lost_node_runs_on_another(tmp_path: Path) -> None:
     assert "RobotKube-Cause: node" in message
 
 
-def test_a_chain_of_operators_is_launched_and_goes_from_its_top(tmp_path: Path) -> None:
-    """Intersection-support and Table I, p03 and p08: what its operators ask for, asked by hand."""
+@pytest.mark.parametrize(
+    ("application", "launched"),
+    [
+        ("roadside-operator", "roadside-0/roadside-operator-vehicle-00"),
+        ("uncertainty-operator", "vehicle-00/uncertainty-operator-roadside-0"),
+    ],
+)
+def test_a_chain_of_operators_is_launched_and_goes_from_its_top(
+    tmp_path: Path, application: str, launched: str
+) -> None:
+    """Intersection-support and Table I, p03 and p08: what its operators ask for, as main says that they ask for it."""
     scenario = definition.load(definition.find("intersection-support"))
     rehearsal = Rehearsal(staged(scenario, tmp_path))
     before = set(rehearsal.releases())
-    top = {
-        "namespace": "cloud-0",
-        "name": "approach",
-        "application": "roadside-operator",
-        "parameters": {"site": "roadside-0", "vehicle": "vehicle-00"},
-    }
+    parameters = {"site": "roadside-0", "vehicle": "vehicle-00"}
+    top = {"namespace": "cloud-0", "name": "approach", "application": application, "parameters": parameters}
+    actor = acting.Actor(rehearsal, rehearsal, rehearsal.releases, lambda _: None)  # type: ignore[arg-type]
+    [step] = read_steps([{"name": "top", "do": {"submit": top}, "until": [{"release": launched, "is": "ready"}]}])
+    actor._step(step)
+    [reaction] = rehearsal.releases()[launched].values["detector"]["reactions"]
     child = {
-        "namespace": "roadside-0",
+        "namespace": launched.partition("/")[0],
         "name": "near",
-        "application": "environment-perception",
-        "parameters": {"sensor": "roadside-0"},
+        "application": reaction["application"],
+        "parameters": reaction["parameters"],
         "chain": {"parent": "cloud-0/approach"},
     }
     services = ("roadside-0/object-detection-roadside-0", "roadside-0/object-tracking-roadside-0")
     steps = [
-        {
-            "name": "top",
-            "do": {"submit": top},
-            "until": [{"release": "roadside-0/roadside-operator-vehicle-00", "is": "ready"}],
-        },
         {"name": "child", "do": {"submit": child}, "until": [{"release": one, "is": "ready"} for one in services]},
-        {
-            "name": "gone",
-            "do": {"delete": "cloud-0/approach"},
-            "until": [
-                *({"release": one, "is": "absent"} for one in services),
-                {"release": "roadside-0/roadside-operator-vehicle-00", "is": "absent"},
-            ],
-        },
+        {"name": "gone", "do": {"delete": "cloud-0/approach"}},
     ]
-    inputs = rehearse(rehearsal, read_steps(steps))
-    assert outcomes.steps_reached(inputs) == 1
-    assert outcomes.chain_depth(inputs) == 2
+    actor._step(read_steps(steps)[0])
+    assert set(services) < set(rehearsal.releases())
+    assert results_on(rehearsal, "vehicle-00") == results_from(rehearsal, "roadside-0") == ["objects", "tracks"]
+    actor._step(read_steps(steps)[1])
     assert set(rehearsal.releases()) == before
+    assert results_on(rehearsal, "vehicle-00") == []
+    assert outcomes.chain_depth(inputs_of(rehearsal, actor)) == 2
+
+
+def results_on(rehearsal: Rehearsal, agent: str) -> list[str]:
+    """What of the road-side unit's results the bridge of an agent brings in."""
+    return _results(rehearsal.releases().get(f"{agent}/mqtt-bridge"), "in")
+
+
+def results_from(rehearsal: Rehearsal, agent: str) -> list[str]:
+    """What of the road-side unit's results the bridge of an agent sends."""
+    return _results(rehearsal.releases().get(f"{agent}/mqtt-bridge"), "out")
+
+
+def _results(bridge: Any, direction: str) -> list[str]:
+    topics = bridge.values["bridge"][direction] if bridge else []
+    names = [topic["name"].removeprefix("/vehicles/roadside_0/") for topic in topics]
+    return sorted(name for name in names if name in ("objects", "tracks"))
 
 
 def test_two_recordings_share_the_uplink_of_the_vehicle_in_both(tmp_path: Path) -> None:

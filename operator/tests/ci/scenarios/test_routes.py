@@ -19,6 +19,7 @@ from tests.stages.paths import SCENARIOS
 
 THREE, INTERSECTION = SCENARIOS / "three-vehicles", SCENARIOS / "intersection-support"
 STEP = 0.01
+FREE = ("blocked_seconds=0", "lidar_vehicles=0")
 
 
 def paths(parameters: definition.Parameters, count: int) -> tuple[np.ndarray, list[drives.Motion]]:
@@ -82,13 +83,13 @@ def test_a_vehicle_passes_the_road_side_unit_once() -> None:
 
 def test_a_vehicle_that_rushes_by_is_refused() -> None:
     with pytest.raises(definition.ScenarioError, match="30 s are needed"):
-        intersection.duration_seconds(definition.load(INTERSECTION, ["speed_mps=40"]).parameters)
+        intersection.duration_seconds(definition.load(INTERSECTION, ["speed_mps=40", *FREE]).parameters)
 
 
 @pytest.fixture(scope="module")
 def passing() -> definition.Scenario:
-    overrides = ("points=20000", "point_cloud_hz=5", "start_distance_m=150", "stop_distance_m=160", "speed_mps=10")
-    return definition.load(INTERSECTION, overrides)
+    near = ("start_distance_m=150", "stop_distance_m=160", "speed_mps=10", "blocked_seconds=5")
+    return definition.load(INTERSECTION, ("points=20000", "point_cloud_hz=4", *near))
 
 
 @pytest.fixture(scope="module")
@@ -97,15 +98,16 @@ def made(passing: definition.Scenario, tmp_path_factory: pytest.TempPathFactory)
 
 
 def test_every_player_has_a_sound_bag(passing: definition.Scenario, made: Mapping[str, Path]) -> None:
-    assert list(made) == ["vehicle-00", "roadside-0"]
+    assert list(made) == ["vehicle-00", "vehicle-01", "roadside-0"]
     for agent, folder in made.items():
         checking.check_bag(folder, passing, agent)
 
 
-def test_perception_on_the_road_side_unit_follows_one_vehicle(
+def test_perception_on_the_road_side_unit_follows_both_vehicles(
     passing: definition.Scenario, made: Mapping[str, Path]
 ) -> None:
-    """The bag through both services: one identity, seen whenever it is within the range that is guaranteed."""
+    """The bag through both services: one identity for each, the one that waits is always seen, the one that passes
+    whenever it is within the range that is guaranteed."""
     bag, tracker = open_bag(made["roadside-0"]), Tracker(TrackerSettings(STEADY, 4.0, 1.0))
     topic, parameters = definition.cloud_topic("roadside-0"), passing.parameters
     identities, missed, clouds = set(), [], 0
@@ -116,10 +118,11 @@ def test_perception_on_the_road_side_unit_follows_one_vehicle(
         cloud = read_cloud(data)
         found = find_objects(cloud, ObjectCriteria(REFLECTANCE, 60))
         identities |= {track.id for track in tracker.observe(Poses(cloud.header, tuple(one.pose for one in found)))}
-        vehicle, unit = (routes.motion(parameters, index, np.array([moment / 1e9])) for index in (0, 1))
-        if routes.distance(vehicle, unit)[0] < 58 and len(found) != 1:
+        vehicle, unit = (routes.motion(parameters, index, np.array([moment / 1e9])) for index in (0, 2))
+        distance = routes.distance(vehicle, unit)[0]
+        if (distance < 58 and len(found) != 2) or (distance > 62 and len(found) != 1):
             missed.append(moment)
     bag.close()
-    assert identities == {1}
+    assert identities == {1, 2}
     assert missed == []
-    assert clouds == routes.duration_seconds(parameters) * 5
+    assert clouds == routes.duration_seconds(parameters) * 4

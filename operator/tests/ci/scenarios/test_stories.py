@@ -18,7 +18,7 @@ from robotkube.delivery.tasks.core.task_description import read_task
 from scenarios import definition, steps
 from scenarios.generator import bags, checking, routes
 from scenarios.runner import acting, expectations, policy, readiness
-from scenarios.steps import ReleaseState, TaskCount, TaskState
+from scenarios.steps import Heard, ReleaseState, State, TaskCount, TaskState
 from tests.stages.paths import REPOSITORY
 
 FOLDERS = sorted(path.parent for path in (REPOSITORY / "scenarios").glob("*/scenario.yaml"))
@@ -76,10 +76,18 @@ def test_steps_name_agents_and_tasks_that_are_there(scenario: definition.Scenari
         for state in (*step.when, *step.until):
             if isinstance(state, TaskState):
                 assert state.task in submitted
-            place = state.namespace if isinstance(state, TaskCount) else str(state).split()[1].split("/")[0]
-            assert place in agents
+            assert _place(state) in agents
         if step.action == "delete":
             assert step.given in submitted
+
+
+def _place(state: State) -> str:
+    """The agent that a state is about."""
+    if isinstance(state, TaskCount):
+        return state.namespace
+    if isinstance(state, Heard):
+        return state.agent
+    return (state.task if isinstance(state, TaskState) else state.release).split("/")[0]
 
 
 def test_charts_and_machines_are_there(scenario: definition.Scenario) -> None:

@@ -27,7 +27,7 @@ def test_every_policy_on_the_page_can_be_read() -> None:
     assert [addition.application for addition in initial.add] == ["bag-player", "pose-telemetry"]
     merge = read_merge_policy(found.pop("policies/merge.yaml"))
     assert merge.way_of_plan("manager-north", ["releases/vehicle-01/a.yaml"]) == AUTOMATIC
-    assert read_update_policy(found.pop("policies/updates.yaml")).charts["object-detection"].canary
+    assert read_update_policy(found.pop("policies/updates.yaml")).charts["object-detection"].first == ("vehicle-02",)
     assert read_edits_policy(found.pop("policies/edits.yaml")) == "revert"
     assert found == {}
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from robotkube.delivery.gate.loops import application_trials
 from robotkube.errors import UnavailableError
@@ -133,6 +134,45 @@ def test_a_bridge_is_tried_as_it_bridges(tmp_path: Path) -> None:
     found = tried(tmp_path, bridging)
     assert "hostIPC is true" in found.problems[0]
     assert found.problems[0].startswith("spec.services[0]: ")
+
+
+def test_a_link_whose_type_no_bridge_knows_is_refused_before_it_is_published(tmp_path: Path) -> None:
+    topic = {"name": "/vehicles/vehicle_00/fix", "type": "rover_msgs/msg/Fix", "channel": "telemetry"}
+    topic |= {"reliability": "reliable", "durability": "volatile", "depth": 1}
+    ends: dict[str, Any] = {"from": {"agent": "vehicle-00"}, "to": {"role": "cloud"}}
+    (text,) = application({}, provides=["link/mqtt"]).values()
+    bridge = text.replace("name: relaying", "name: bridge").replace("role: cloud", "agent: '{{ agent }}'")
+    linked = application({}, links=[{"kind": "mqtt", **ends, "topics": [topic]}])
+    found = tried(tmp_path, relay(), linked, {"applications/bridge.yaml": bridge})
+    assert "type rover_msgs/msg/Fix: none of the packaged images has the message package" in found.problems[0]
+
+
+def test_a_link_that_its_chart_takes_otherwise_is_refused_before_it_is_published(tmp_path: Path) -> None:
+    topic = {"name": "/vehicles/vehicle_00/level", "type": "std_msgs/msg/Float32", "channel": "telemetry"}
+    topic |= {"reliability": "reliable", "durability": "volatile", "depth": 1}
+    (text,) = application({}, provides=["link/mqtt"]).values()
+    bridge = text.replace("name: relaying", "name: bridge").replace("role: cloud", "agent: '{{ agent }}'")
+    told: dict[str, Any] = {"name": "level", "medium": "ros", "direction": "in", "topic": topic["name"]}
+    told |= {"type": "std_msgs/msg/Float64", "qos": {"reliability": "reliable", "durability": "volatile"}}
+    chart = relay()
+    path = "charts/relay/0.1.0.yaml"
+    chart[path] = write_mapping(merged(chart[path], {"interfaces": [told]}))
+    ends: dict[str, Any] = {"from": {"agent": "vehicle-00"}, "to": {"service": "relay"}}
+    linked = application({}, links=[{"kind": "mqtt", **ends, "topics": [topic]}])
+    found = tried(tmp_path, chart, linked, {"applications/bridge.yaml": bridge})
+    assert (
+        "spec.links[0].topics[0].type: topic /vehicles/vehicle_00/level is std_msgs/msg/Float32 here"
+        in (found.problems[0])
+    )
+    told["type"] = topic["type"]
+    chart[path] = write_mapping(merged(chart[path], {"interfaces": [told]}))
+    assert tried(tmp_path, chart, linked, {"applications/bridge.yaml": bridge}).problems == ()
+
+
+def merged(text: str, spec: Mapping[str, Any]) -> dict[str, Any]:
+    """A document with more in its spec."""
+    document = yaml.safe_load(text)
+    return {**document, "spec": {**document["spec"], **spec}}
 
 
 def test_one_that_runs_by_itself_is_tried_for_an_agent_of_its_role(tmp_path: Path) -> None:

@@ -137,3 +137,18 @@ def test_the_application_of_the_how_to_passes_with_the_chart_that_the_command_wr
     found = trials(catalogue, renderer, tmp_path)(catalogue.files, ["greeting"], catalogue.submitted)["greeting"]
     assert found.problems == ()
     assert [chart.name for chart in found.charts] == ["text-relay"]
+
+
+def test_a_new_chain_of_services_passes(catalogue: Catalogue, renderer: ChartRenderer, tmp_path: Path) -> None:
+    write_sources(tmp_path, "delivery", "--services", "order,plan,drive")
+    for service in ("order", "plan", "drive"):
+        name = f"delivery-{service}"
+        chart = tmp_path / "charts" / "apps" / name
+        catalogue.add(chart, yaml.safe_load((tmp_path / "registry" / "charts" / name / "0.1.0.yaml").read_text()))
+        values = {file: (chart / file).read_bytes() for file in ("values.schema.json", "values.yaml")}
+        catalogue.files[f"charts/{name}/0.1.0.schema.json"] = schema_text(values)
+    path = "applications/delivery.yaml"
+    catalogue.files[path] = (tmp_path / "registry" / path).read_text()
+    found = trials(catalogue, renderer, tmp_path)(catalogue.files, ["delivery"], catalogue.submitted)["delivery"]
+    assert found.problems == ()
+    assert [chart.name for chart in found.charts] == ["delivery-drive", "delivery-order", "delivery-plan"]

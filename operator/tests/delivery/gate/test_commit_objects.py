@@ -11,6 +11,7 @@ from robotkube.delivery.gate.core.proposal_checks import Proposer
 from robotkube.foundation.forge.adapters.git.commit_objects import new_objects
 from robotkube.foundation.forge.core.commit_objects import CommitObjects, write_objects
 from robotkube.foundation.runtime.core.webhook_deliveries import sign
+from tests.stages import http_calls
 from tests.stages.forge.installation import (
     PROPOSERS,
     WEBHOOK_SECRET,
@@ -45,7 +46,7 @@ def objects_of(manager: Clone, commit: str) -> CommitObjects:
 def post(gate: RunningGate, body: bytes, secret: str = "", account: str = "manager") -> httpx.Response:
     """As `account`; `secret` is that account's unless it is given."""
     headers = {"X-Gitea-Signature": sign(body, (secret or manager_secret(account)).encode())}
-    return httpx.post(f"http://127.0.0.1:{gate.server.port}/objects/{account}", content=body, headers=headers)
+    return http_calls.post(f"http://127.0.0.1:{gate.server.port}/objects/{account}", content=body, headers=headers)
 
 
 def send(gate: RunningGate, objects: CommitObjects, account: str = "manager") -> None:
@@ -163,7 +164,7 @@ def test_only_what_a_manager_signed_is_accepted(
     body = write_objects(objects_of(manager, commit), REPOSITORY)
     assert post(gate, body, secret).status_code == 401
     assert post(gate, body, secret, account="nobody").status_code == 404
-    assert httpx.post(f"http://127.0.0.1:{gate.server.port}/objects/manager", content=body).status_code == 401
+    assert http_calls.post(f"http://127.0.0.1:{gate.server.port}/objects/manager", content=body).status_code == 401
     answer = post(gate, body.replace(commit.encode(), b"0" * 40))
     assert (answer.status_code, answer.json()) == (
         400,

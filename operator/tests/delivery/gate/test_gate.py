@@ -4,12 +4,12 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import httpx
 import pytest
 
 from robotkube.delivery.deployment.core.releases import TaskCause
 from robotkube.foundation.runtime.core.webhook_deliveries import sign
 from robotkube.registry.charts.core.references import ChartReference
+from tests.stages import http_calls
 from tests.stages.attacks import shown
 from tests.stages.forge.catalogue_evidence import published_chart
 from tests.stages.forge.installation import (
@@ -244,7 +244,9 @@ def test_only_the_forge_delivers_to_the_gate(gate: RunningGate) -> None:
     def deliver(secret: str) -> int:
         body = json.dumps(named).encode()
         headers = {"X-Gitea-Event": "pull_request", "X-Gitea-Signature": sign(body, secret.encode())}
-        return httpx.post(f"http://127.0.0.1:{gate.server.port}/webhook", content=body, headers=headers).status_code
+        return http_calls.post(
+            f"http://127.0.0.1:{gate.server.port}/webhook", content=body, headers=headers
+        ).status_code
 
     assert deliver(manager_secret()) == 401
     assert deliver(WEBHOOK_SECRET) == 204

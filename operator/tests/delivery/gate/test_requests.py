@@ -24,6 +24,7 @@ from robotkube.foundation.runtime.core.webhook_deliveries import sign
 from robotkube.foundation.runtime.settings_file import read_settings
 from robotkube.registry.catalogue.adapters.bounded_validation import BoundedSchemas
 from robotkube.registry.charts.adapters.chart_renderer import ChartRenderer
+from tests.stages import http_calls
 from tests.stages.attacks import shown
 from tests.stages.delivery.gate_settings import OCI_REGISTRY, settings_file
 from tests.stages.random_json import mistaken
@@ -61,7 +62,7 @@ class Sender:
     """Who signs requests to the gate with the secrets of its settings."""
 
     def __init__(self, url: str, folder: Path) -> None:
-        self._client = httpx.Client(base_url=url)
+        self._client = http_calls.client(base_url=url)
         self._folder = folder
 
     def deliver(self, body: bytes, event: str = "push") -> httpx.Response:

@@ -69,6 +69,43 @@ def test_a_task_goes_all_the_way_and_back(stage: Stage) -> None:
     assert len(stage.plans()) == 3
 
 
+def test_a_changed_task_is_not_ready_before_its_plan_is_on_main(stage: Stage) -> None:
+    """Its releases keep their names: those on main are there for what it asked before."""
+    key = stage.ask(
+        "near",
+        application="uncertainty-operator",
+        parameters={"site": "vehicle-01", "vehicle": "vehicle-00", "above": 0.5},
+    )
+    stage.settle()
+    assert stage.tasks.condition(key, "Ready") == ("True", "Observed")
+    stage.forge.decide = stage.forge.leave
+    stage.tasks.change(key, parameters={"site": "vehicle-01", "vehicle": "vehicle-00", "above": 0.4})
+    stage.go(3)
+    assert stage.tasks.objects[key]["status"]["observedGeneration"] == 2
+    assert stage.tasks.condition(key, "Committed") == ("False", "Proposed")
+    assert stage.tasks.condition(key, "Ready") == ("", "")
+    stage.forge.merge(stage.forge.pulls[max(stage.forge.pulls)])
+    stage.go(wake=DEPLOYMENT)
+    assert stage.tasks.condition(key, "Committed") == ("True", "Merged")
+    assert stage.tasks.condition(key, "Ready") == ("False", "Progressing")
+
+
+def test_a_status_is_about_the_generation_that_was_decided(stage: Stage) -> None:
+    """A task that changes between decision and status is not answered by what was decided before."""
+    key = stage.ask(
+        "near",
+        application="uncertainty-operator",
+        parameters={"site": "vehicle-01", "vehicle": "vehicle-00", "above": 0.5},
+    )
+    stage.settle()
+    stage.tasks.change(key, parameters={"site": "vehicle-01", "vehicle": "vehicle-00", "above": -1})
+    stage.go(1, wake=APPLICATIONS)  # nobody told the manager of the task
+    assert stage.tasks.objects[key]["status"]["observedGeneration"] == 1
+    stage.go(3)
+    assert stage.tasks.objects[key]["status"]["observedGeneration"] == 2
+    assert stage.tasks.condition(key, "Accepted") == ("False", "InvalidParameters")
+
+
 def test_a_quiet_world_costs_nothing(stage: Stage) -> None:
     stage.ask()
     stage.settle()

@@ -15,6 +15,7 @@ from robotkube.delivery.manager.telemetry import ManagerTelemetry
 from robotkube.foundation.runtime.core.webhook_deliveries import sign
 from robotkube.foundation.runtime.settings_file import read_settings
 from robotkube.testing.clusters import MemoryTasks
+from tests.stages import http_calls
 from tests.stages.delivery.manager_in_memory import Stage
 from tests.stages.delivery.manager_process import Outside, write_settings
 from tests.stages.random_json import mistaken
@@ -70,7 +71,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
     telemetry = ManagerTelemetry(stage.manager, stage.tasks, stage.cluster, [], lambda: [], "", "manager")
     server = build_server(configuration, stage.manager, tasks, None, telemetry, leads)
     server.start()
-    with httpx.Client(base_url=f"http://127.0.0.1:{server.port}", timeout=30) as found:
+    with http_calls.client(base_url=f"http://127.0.0.1:{server.port}", timeout=30) as found:
         yield found
     server.stop()
 

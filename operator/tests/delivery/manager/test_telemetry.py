@@ -39,7 +39,7 @@ def samples(text: str) -> dict[tuple[str, tuple[tuple[str, str], ...]], float]:
 
 
 def test_metrics_count_time_and_show_states() -> None:
-    gauges = ManagerGauges({("Accepted", "True", "Accepted"): 3}, 2, 1, 4, 5, False)
+    gauges = ManagerGauges({("Accepted", "True", "Accepted"): 3}, 2, 1, 4, 5, False, {"trial": 6})
     metrics = PrometheusMetrics(lambda: gauges)
     metrics.step(False)
     metrics.step(True)
@@ -58,6 +58,7 @@ def test_metrics_count_time_and_show_states() -> None:
     states = [values[PREFIX + name, ()] for name in ("tasks_waiting", "main_broken_files", "agents_unknown", "holds")]
     assert states == [2, 1, 4, 5]
     assert values[f"{PREFIX}leader", ()] == 0
+    assert [values[f"{PREFIX}update_releases", (("state", one),)] for one in ("trial", "waiting")] == [6, 0]
     shown = {name for name, _ in values if name.startswith(PREFIX)}
     for one in METRICS:
         assert any(name.startswith(PREFIX + one.name) for name in shown), one.name

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -12,117 +12,31 @@ from hypothesis import strategies as st
 from robotkube.delivery.deployment.core.policies.updates import UpdatePolicy, UpdateRule, read_update_policy
 from robotkube.delivery.deployment.core.releases import Release
 from robotkube.delivery.manager.core.composition.composer import Composition, Met, Refused
-from robotkube.delivery.manager.core.updates import (
+from robotkube.delivery.manager.core.updates.cluster_health import (
     DEGRADED,
     HEALTHY,
     PROGRESSING,
     SECOND_NS,
-    ClusterHealth,
-    Move,
     ReleaseHealth,
-    Targets,
-    UpdateMemory,
-    Updates,
-    decide,
-    moved,
 )
+from robotkube.delivery.manager.core.updates.steps import moved
 from robotkube.errors import DocumentError
-from robotkube.registry.catalogue.core.applications import Application, ChartRequirement, PlacementRule, Service
-from robotkube.registry.catalogue.core.catalogue import Catalogue
-from robotkube.registry.catalogue.core.chart_versions import ChartVersion
-
-CANARY = UpdateRule(canary=True, success_seconds=30, failure_seconds=100)
-DETECTION, BRIDGE = "object-detection", "mqtt-bridge"
-
-
-def version(chart: str, number: str, state: str = "verified") -> ChartVersion:
-    return ChartVersion(chart, number, state, f"sha256:{chart}-{number}")
-
-
-def application(name: str, chart: str, versions: str = "") -> Application:
-    service = Service(name, name, ChartRequirement(chart, versions), PlacementRule(), {})
-    return Application(name, name, (), {}, (service,))
-
-
-def catalogue(*versions: ChartVersion) -> Catalogue:
-    charts: dict[str, tuple[ChartVersion, ...]] = {}
-    for one in versions:
-        charts[one.chart] = (*charts.get(one.chart, ()), one)
-    offered = {name: application(name, name) for name in charts}
-    return Catalogue(offered, charts, "none")
-
-
-OLD, NEW = version(DETECTION, "0.1.0"), version(DETECTION, "0.2.0")
-BRIDGES = version(BRIDGE, "0.1.0")
-BOTH = catalogue(OLD, NEW, BRIDGES)
-
-
-def release(agent: str, version: ChartVersion = OLD) -> Release:
-    return Release(agent, version.chart, version.chart, version.version, version.digest, {"of": agent})
-
-
-@dataclass
-class Fleet:
-    """Main and cluster as one: applies what is decided, and answers with the health that a test sets."""
-
-    agents: tuple[str, ...]
-    policy: UpdatePolicy = field(default_factory=lambda: UpdatePolicy(CANARY))
-    catalogue: Catalogue = BOTH
-    now: int = 1000
-    memory: UpdateMemory = field(default_factory=UpdateMemory)
-    main: dict[str, Release] = field(default_factory=dict)
-    health: dict[str, ReleaseHealth] = field(default_factory=dict)
-    online: dict[str, int] = field(default_factory=dict)
-    commits: list[Move] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        for agent in self.agents:
-            for version in (OLD, BRIDGES):
-                one = release(agent, version)
-                self.main[one.path] = one
-                self.health[one.key] = ReleaseHealth(HEALTHY, 0)
-            self.online[agent] = 0
-
-    def decide(self) -> Updates:
-        def observe() -> ClusterHealth:
-            return ClusterHealth(self.health, self.online)
-
-        return decide(self.main, Targets(self.catalogue), self.policy, self.memory, observe, self.now * SECOND_NS)
-
-    def commit(self) -> Move | None:
-        """One plan, if there is one to make: what it moves starts anew."""
-        move = self.decide().move
-        if move is None:
-            return None
-        before = {}
-        for path, one in self.main.items():
-            chart, number = move.pins[one.key]
-            version = self.catalogue.version(chart, number)
-            assert version is not None
-            if version.digest != one.digest:
-                before[one.key] = (one.chart, one.version)
-                self.main[path] = replace(one, version=version.version, digest=version.digest)
-                self.health[one.key] = ReleaseHealth(PROGRESSING, self.now * SECOND_NS)
-        assert set(before) == set(move.keys)
-        at_ns = self.now * SECOND_NS
-        if move.cause == "update":
-            version = self.catalogue.version(move.chart, move.version)
-            assert version is not None
-            made = (f"commit {len(self.commits)}", at_ns)
-            self.memory = self.memory.updated(move.chart, (move.version, version.digest), before, made)
-        else:
-            self.memory = self.memory.reverted(move.chart, move.keys, move.reason)
-        self.commits.append(move)
-        return move
-
-    def show(self, key: str, state: str) -> None:
-        self.health[key] = ReleaseHealth(state, self.now * SECOND_NS)
-
-    def versions(self, chart: str = DETECTION) -> dict[str, str]:
-        return {one.namespace: one.version for one in self.main.values() if one.chart == chart}
-
-
-VEHICLES = ("vehicle-00", "vehicle-01", "vehicle-02")
+from tests.stages.delivery.update_fleet import (
+    BOTH,
+    BRIDGE,
+    BRIDGES,
+    CANARY,
+    DETECTION,
+    NEW,
+    OLD,
+    TOGETHER,
+    VEHICLES,
+    Fleet,
+    application,
+    catalogue,
+    release,
+    version,
+)
 
 
 def test_without_a_newer_version_everything_keeps_what_it_has() -> None:
@@ -135,7 +49,7 @@ def test_without_a_newer_version_everything_keeps_what_it_has() -> None:
 
 
 def test_without_a_canary_all_releases_of_the_chart_move_together_and_nothing_else() -> None:
-    fleet = Fleet(VEHICLES, UpdatePolicy())
+    fleet = Fleet(VEHICLES, TOGETHER)
     move = fleet.commit()
     assert move is not None
     assert (move.cause, move.reason) == ("update", "object-detection 0.2.0")
@@ -144,8 +58,52 @@ def test_without_a_canary_all_releases_of_the_chart_move_together_and_nothing_el
     assert fleet.commit() is None
 
 
+def test_one_agent_goes_first_unless_people_say_otherwise() -> None:
+    fleet = Fleet(VEHICLES, UpdatePolicy())
+    move = fleet.commit()
+    assert move is not None
+    assert move.reason == "object-detection 0.2.0, first on vehicle-00"
+    assert sorted(fleet.versions().values()) == ["0.1.0", "0.1.0", "0.2.0"]
+
+
+def test_an_agent_that_is_the_only_one_to_have_the_chart_tries_it_for_nobody() -> None:
+    fleet = Fleet(VEHICLES[:1])
+    updates = fleet.decide()
+    assert updates.move is not None
+    assert updates.move.reason == "object-detection 0.2.0"
+    assert (DETECTION, "0.2.0") not in updates.withheld
+    several = {path: replace(one, name=f"{one.name}-2") for path, one in fleet.main.items()}
+    fleet.main |= {one.path: one for one in several.values()}
+    move = fleet.decide().move
+    assert move is not None
+    assert move.keys == ("vehicle-00/object-detection", "vehicle-00/object-detection-2")
+
+
+def test_people_name_who_goes_first() -> None:
+    fleet = Fleet(VEHICLES, UpdatePolicy(replace(CANARY, first=("roadside-0", "vehicle-02", "vehicle-01"))))
+    fleet.show("vehicle-02/object-detection", DEGRADED)
+    assert fleet.commit() is not None
+    assert fleet.versions()["vehicle-02"] == "0.2.0"
+
+
+def test_who_is_healthy_goes_first_and_who_is_lost_does_not() -> None:
+    fleet = Fleet(VEHICLES)
+    fleet.show("vehicle-00/object-detection", DEGRADED)
+    del fleet.online["vehicle-01"]
+    fleet.commit()
+    assert fleet.versions() == {"vehicle-00": "0.1.0", "vehicle-01": "0.1.0", "vehicle-02": "0.2.0"}
+
+
+def test_a_version_that_nobody_can_try_is_not_withheld() -> None:
+    fleet = Fleet(VEHICLES)
+    fleet.online.clear()
+    updates = fleet.decide()
+    assert updates.move is None
+    assert (DETECTION, "0.2.0") not in updates.withheld
+
+
 def test_two_charts_are_two_plans() -> None:
-    fleet = Fleet(VEHICLES, UpdatePolicy(), catalogue(OLD, NEW, BRIDGES, version(BRIDGE, "0.3.0")))
+    fleet = Fleet(VEHICLES, TOGETHER, catalogue(OLD, NEW, BRIDGES, version(BRIDGE, "0.3.0")))
     assert [move.chart for move in (fleet.commit(), fleet.commit()) if move] == [BRIDGE, DETECTION]
 
 
@@ -194,7 +152,7 @@ def test_a_canary_that_fails_is_reverted_and_the_digest_is_never_tried_again(sta
 
 
 def test_what_a_device_held_goes_back_later() -> None:
-    fleet = Fleet(VEHICLES, UpdatePolicy())
+    fleet = Fleet(VEHICLES, TOGETHER)
     fleet.commit()
     fleet.show("vehicle-00/object-detection", DEGRADED)
     move = fleet.decide().move
@@ -269,7 +227,7 @@ def test_an_agent_that_comes_back_gets_the_whole_time_to_become_healthy() -> Non
 
 
 def test_trouble_long_after_an_update_is_not_its_doing() -> None:
-    fleet = Fleet(VEHICLES, UpdatePolicy())
+    fleet = Fleet(VEHICLES, TOGETHER)
     fleet.commit()
     for key in fleet.health:
         fleet.show(key, HEALTHY)
@@ -282,7 +240,7 @@ def test_trouble_long_after_an_update_is_not_its_doing() -> None:
 
 def test_a_share_of_the_fleet_may_fail() -> None:
     agents = tuple(f"vehicle-{number:02d}" for number in range(10))
-    fleet = Fleet(agents, UpdatePolicy(UpdateRule(threshold=0.8)))
+    fleet = Fleet(agents, UpdatePolicy(UpdateRule(canary=False, threshold=0.8)))
     fleet.commit()
     for agent in agents[:2]:
         fleet.show(f"{agent}/object-detection", DEGRADED)
@@ -378,18 +336,21 @@ def test_histories(events: list[tuple[str, int, int]], canary: bool, threshold: 
             restored.setdefault(move.version, {}).update({k: before[k.partition("/")[0]] for k in move.keys})
             assert all(fleet.versions()[agent] == version for agent, version in offline.items())
         else:
-            bad.add(move.version)
+            bad |= {move.version} if move.undone else set()
+            assert move.undone or len(move.keys) < len(agents)
             assert {k: fleet.versions()[k.partition("/")[0]] for k in move.keys} == {
                 k: restored[move.version][k] for k in move.keys
             }
 
 
 def test_the_policy_is_read_strictly() -> None:
-    policy = read_update_policy("default: {successSeconds: 5}\ncharts: {object-detection: {canary: true}}\n")
-    assert policy.rule(release("a")) == ("charts.object-detection", UpdateRule(canary=True, success_seconds=5))
-    assert policy.rule(release("a", BRIDGES)) == ("default", UpdateRule(success_seconds=5))
+    text = "default: {successSeconds: 5, first: [b]}\ncharts: {object-detection: {canary: false}}\n"
+    policy = read_update_policy(text)
+    assert policy.rule(release("a")) == ("charts.object-detection", UpdateRule(False, 5, first=("b",)))
+    assert policy.rule(release("a", BRIDGES)) == ("default", UpdateRule(success_seconds=5, first=("b",)))
     assert read_update_policy("{}\n") == UpdatePolicy()
-    text = "default: {canary: 1, threshold: 0, more: 1}\ncharts: {A_B: {successSeconds: 0}}\napplications: []\n"
+    text = "default: {canary: 1, threshold: 0, first: [A_B], more: 1}\n"
+    text += "charts: {A_B: {successSeconds: 0}}\napplications: []\n"
     with pytest.raises(DocumentError) as refused:
         read_update_policy(text)
-    assert len(refused.value.problems) == 6
+    assert len(refused.value.problems) == 7

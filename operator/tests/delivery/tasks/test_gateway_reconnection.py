@@ -15,7 +15,7 @@ NEARLY_ONE = 1 - 2**-53
 
 def pauses(jitter: Random, count: int) -> Iterator[float]:
     """The pauses that a gateway asks paho for while no attempt succeeds."""
-    gateway = PahoGateway("127.0.0.1", 1883, "manager", "", "manager-gateway", jitter)
+    gateway = PahoGateway("127.0.0.1", 1883, "manager", "", "manager-gateway", jitter=jitter)
     for _ in range(count):
         gateway._failed(None, None)
         yield float(gateway._client._reconnect_min_delay)
@@ -45,7 +45,9 @@ def test_paho_waits_for_that_and_no_longer() -> None:
 
     with socket.socket() as silent:
         silent.bind(("127.0.0.1", 0))  # and does not listen: each attempt is refused
-        gateway = PahoGateway("127.0.0.1", silent.getsockname()[1], "manager", "", "manager-gateway", next_to_nothing)
+        gateway = PahoGateway(
+            "127.0.0.1", silent.getsockname()[1], "manager", "", "manager-gateway", jitter=next_to_nothing
+        )
         gateway.start(("task/#",))
         try:
             until(lambda: len(asked) >= 20, "twenty attempts", 10)

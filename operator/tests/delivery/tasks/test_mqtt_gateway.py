@@ -199,7 +199,8 @@ def test_a_gateway_that_closes_leaves_the_message_with_the_broker(stage: Stage) 
 def test_only_the_process_that_leads_has_the_gateway_open(stage: Stage) -> None:
     stage.turn()
     kinds = ("tasks", "holds")
-    assert stage.channel.topics == [f"robotkube/{kind}/{name}" for kind in kinds for name in ("cloud-0", "vehicle-00")]
+    topics = [f"robotkube/{kind}/{name}" for kind in kinds for name in ("cloud-0", "vehicle-00")]
+    assert stage.channel.topics == [*topics, "robotkube/links/cloud-0/+", "robotkube/links/vehicle-00/+"]
     stage.leads = False
     stage.say(ASKED)
     assert (stage.channel.connected, stage.tasks.objects, stage.gateway.complaint) == (False, {}, "")

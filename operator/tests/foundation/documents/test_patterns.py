@@ -26,6 +26,7 @@ _DIGITS = r"(?:0-9|\\d)"
 LETTERS_AND_DIGITS = re.compile(
     rf"\[[^\]]*{_LETTERS}[^\]]*{_DIGITS}|\[[^\]]*{_DIGITS}[^\]]*{_LETTERS}|(?<!\\)(?:\\\\)*\\w"
 )
+DIGITS_OR_WORD = re.compile(rf"{_DIGITS}|\\w")
 
 NO_IDENTIFIERS = {
     ("foundation/documents/core/yaml_codec.py", "_PLAIN"): "text that YAML writes without quotes",
@@ -34,6 +35,11 @@ NO_IDENTIFIERS = {
     ("robots/bags/core/playback.py", "_LINE"): "a line of a ledger, with a bare SHA-256",
     ("registry/publication/core/submissions.py", "_EVIDENCE_FILE"): "a path, with the first letters of a digest",
     ("registry/admission/core/lists.py", "PARAMETER_KEY"): "a key of a ConfigMap, with a bare SHA-256",
+    (
+        "registry/images/skeletons/messages/compile_messages.py",
+        "OTHER_PACKAGE",
+    ): "a program of a build stage",
+    ("registry/suites/core/bill_comparison.py", "ESCAPED"): "bytes of a package's address that are escaped",
 }
 SCHEMAS_ALONE = {
     r"\{\{": "a value template",
@@ -80,11 +86,14 @@ def of_re(tree: ast.AST) -> frozenset[str]:
 
 def identifier_patterns(text: str) -> set[str]:
     """Names (the literal, where there is none) of a module's patterns that say what an identifier looks like."""
+    if not DIGITS_OR_WORD.search(text):  # most modules: their syntax need not be read
+        return set()
     tree = ast.parse(text)
-    names = {id(node.value): name_of(node) for node in ast.walk(tree) if isinstance(node, ast.Assign | ast.AnnAssign)}
+    nodes = list(ast.walk(tree))
+    names = {id(node.value): name_of(node) for node in nodes if isinstance(node, ast.Assign | ast.AnnAssign)}
     functions = of_re(tree)
     found = set()
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Call | ast.Assign | ast.AnnAssign | ast.Dict):
             wrong = [literal for literal in literals(node, functions) if LETTERS_AND_DIGITS.search(literal)]
             found |= {names.get(id(node)) or name_of(node) or literal for literal in wrong}

@@ -13,6 +13,7 @@ from pathlib import Path
 import httpx
 import pytest
 
+from tests.stages import http_calls
 from tests.stages.forge.gitea import ForgeProcess
 from tests.stages.programs import free_port, program
 
@@ -46,7 +47,7 @@ class Stage:
 
     def api(self, method: str, path: str, **body: object) -> httpx.Response:
         url = f"{self.forge.url}/api/v1/{path}"
-        return httpx.request(method, url, auth=self.account, json=body or None, timeout=30).raise_for_status()
+        return http_calls.request(method, url, auth=self.account, json=body or None, timeout=30).raise_for_status()
 
     def commit(self, text: str) -> str:
         (self.clone / "file").write_text(text)

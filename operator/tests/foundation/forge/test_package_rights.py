@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import httpx
 import pytest
 
+from tests.stages import http_calls
 from tests.stages.attacks import shown
 from tests.stages.forge.gitea import ForgeProcess
 from tests.stages.forge.installation import ACCOUNTS, PACKAGES, Installation
@@ -45,7 +46,7 @@ def put(registry: httpx.Client, path: str) -> httpx.Response:
 @pytest.fixture(scope="module", autouse=True)
 def _a_package_in_every_organisation(installation: Installation, forge_process: ForgeProcess) -> Iterator[None]:
     owner = (forge_process.administrator, forge_process.administrator_password)
-    with httpx.Client(base_url=installation.url, auth=owner, timeout=30) as registry:
+    with http_calls.client(base_url=installation.url, auth=owner, timeout=30) as registry:
         for organisation in PACKAGES:
             assert upload(registry, organisation, PACKAGE) == (201, 201)
         yield
@@ -63,7 +64,7 @@ def test_reading(installation: Installation, account: str, organisation: str) ->
     member = any(account in repository.access for repository in repositories)
     allowed = LEVELS[account, organisation] is not None or member
     for what in ("manifests/1", f"manifests/{digest_of(manifest())}", f"blobs/{digest_of(EMPTY)}", "tags/list"):
-        answer = httpx.get(f"{path}/{what}", auth=who, headers={"Accept": MANIFEST}, timeout=30)
+        answer = http_calls.get(f"{path}/{what}", auth=who, headers={"Accept": MANIFEST}, timeout=30)
         assert answer.status_code == (200 if allowed else 401), (what, answer.text)
 
 
@@ -72,7 +73,7 @@ def test_writing(installation: Installation, account: str, organisation: str) ->
     who = (account, installation.passwords[account])
     allowed = LEVELS[account, organisation] == "write"
     package = f"of-{account}"
-    with httpx.Client(base_url=installation.url, auth=who, timeout=30) as registry:
+    with http_calls.client(base_url=installation.url, auth=who, timeout=30) as registry:
         assert upload(registry, organisation, package) == ((201, 201) if allowed else (401, 401))
         path = f"/v2/{organisation}/{package if allowed else PACKAGE}/manifests/{digest_of(manifest())}"
         assert registry.delete(path).status_code == (202 if allowed else 401)
@@ -80,7 +81,7 @@ def test_writing(installation: Installation, account: str, organisation: str) ->
             answer = put(registry, f"/v2/robotkube/{package}/manifests/1")
             said = f"{answer.status_code} {answer.reason_phrase}: {answer.text}"
             shown("elsewhere", said, "platform-image-pushed")
-    there = httpx.get(
+    there = http_calls.get(
         f"{installation.url}/v2/{organisation}/{PACKAGE}/tags/list", auth=reader(installation, organisation)
     )
     assert there.json()["tags"] == ["1"]
@@ -93,22 +94,22 @@ def reader(installation: Installation, organisation: str) -> tuple[str, str]:
 
 @pytest.mark.parametrize("organisation", PACKAGES)
 def test_nobody_reads_without_an_account(installation: Installation, organisation: str) -> None:
-    assert httpx.get(f"{installation.url}/v2/{organisation}/{PACKAGE}/tags/list").status_code == 401
+    assert http_calls.get(f"{installation.url}/v2/{organisation}/{PACKAGE}/tags/list").status_code == 401
 
 
 def test_the_suite_runner_sees_no_repository(installation: Installation) -> None:
     who = ("suite-runner", installation.passwords["suite-runner"])
     for repository in ("robotkube/deployment", "robotkube/catalogue"):
         address = f"{installation.url}/api/v1/repos/{repository}"
-        assert httpx.get(address, auth=who).status_code == 404
+        assert http_calls.get(address, auth=who).status_code == 404
         git = f"{installation.url}/{repository}.git/info/refs?service=git-upload-pack"
-        assert httpx.get(git, auth=who).status_code in (401, 403, 404)
+        assert http_calls.get(git, auth=who).status_code in (401, 403, 404)
 
 
 def test_argo_cd_sees_the_deployment_repository_only(installation: Installation) -> None:
     who = ("argocd", installation.passwords["argocd"])
     codes = [
-        httpx.get(f"{installation.url}/api/v1/repos/robotkube/{name}", auth=who).status_code
+        http_calls.get(f"{installation.url}/api/v1/repos/robotkube/{name}", auth=who).status_code
         for name in ("deployment", "catalogue")
     ]
     assert codes == [200, 404]

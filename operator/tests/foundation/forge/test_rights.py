@@ -7,6 +7,7 @@ from contextlib import closing
 import httpx
 import pytest
 
+from tests.stages import http_calls
 from tests.stages.attacks import shown
 from tests.stages.forge.gitea import HOOKS
 from tests.stages.forge.installation import ACCOUNTS, Installation, message, release_files
@@ -106,7 +107,9 @@ def test_the_publisher_proposes_to_the_catalogue_and_does_not_merge(installation
     commit = publisher.commit({"applications/mine.yaml": "mine\n"}, "submit\n", [publisher.tip()])
     assert publisher.push(commit, "refs/for/main", ["topic=submit-mine", "title=mine"]) == ""
     catalogue = f"{installation.url}/api/v1/repos/robotkube/catalogue"
-    gate, own = (httpx.Client(base_url=catalogue, auth=(n, installation.passwords[n])) for n in ("gate", "publisher"))
+    gate, own = (
+        http_calls.client(base_url=catalogue, auth=(n, installation.passwords[n])) for n in ("gate", "publisher")
+    )
     with gate, own:
         number = next(p["number"] for p in gate.get("/pulls").json() if p["head"]["sha"] == commit)
         for way in ("rebase", "fast-forward-only", "manually-merged"):
@@ -137,7 +140,7 @@ def open_change(installation: Installation, repository: str) -> tuple[httpx.Clie
     assert person.push(commit, "refs/for/main", [f"topic={topic}", "title=mine"]) == ""
     base = f"{installation.url}/api/v1/repos/{repository}"
     own, other = (
-        httpx.Client(base_url=base, auth=(name, installation.passwords[name]), timeout=30)
+        http_calls.client(base_url=base, auth=(name, installation.passwords[name]), timeout=30)
         for name in ("operator-team", "reviewer")
     )
     with other:
@@ -171,7 +174,7 @@ def test_nobody_merges_in_the_forge(installation: Installation, repository: str)
 
 def page_of(installation: Installation, account: str) -> httpx.Client:
     """The forge's pages as somebody uses them who has logged in."""
-    page = httpx.Client(base_url=installation.url, timeout=30, follow_redirects=True)
+    page = http_calls.client(base_url=installation.url, timeout=30, follow_redirects=True)
     fields = {"user_name": account, "password": installation.passwords[account]}
     answer = page.post("/user/login", data=fields, headers={"Origin": installation.url})
     assert answer.status_code == 200, answer.text[:500]
@@ -191,7 +194,7 @@ def test_a_person_moves_main_in_no_other_way(installation: Installation, reposit
     assert person.push(commit, f"refs/heads/{branch}") == ""
     base = f"{installation.url}/api/v1/repos/{repository}"
     patch = "diff --git a/x.txt b/x.txt\nnew file mode 100644\n--- /dev/null\n+++ b/x.txt\n@@ -0,0 +1 @@\n+x\n"
-    with httpx.Client(base_url=base, auth=(account, installation.passwords[account]), timeout=30) as own:
+    with http_calls.client(base_url=base, auth=(account, installation.passwords[account]), timeout=30) as own:
         for method, path, body in (
             ("POST", "/contents/x.txt", {"content": "eA==", "message": "x", "branch": "main"}),
             (
@@ -273,7 +276,7 @@ def test_the_hook_starts_no_program_and_refuses_whom_it_does_not_know() -> None:
 def test_nobody_makes_repositories_or_organisations(installation: Installation, account: str) -> None:
     name = f"own-{secrets.token_hex(3)}"
     who = (account, installation.passwords[account])
-    with httpx.Client(base_url=f"{installation.url}/api/v1", auth=who, timeout=30) as forge:
+    with http_calls.client(base_url=f"{installation.url}/api/v1", auth=who, timeout=30) as forge:
         for path, body in (
             ("/user/repos", {"name": name}),
             ("/orgs/robotkube/repos", {"name": name}),

@@ -12,6 +12,7 @@ from robotkube.foundation.kubernetes.adapters.lease import identity_of
 from robotkube.foundation.runtime.adapters.webhook_server import WebServer
 from robotkube.foundation.runtime.core.webhook_deliveries import WebhookDelivery, sign
 from robotkube.testing.leadership import MemoryLeadership
+from tests.stages import http_calls
 from tests.stages.programs import free_port
 
 SECRET = b"shared"
@@ -35,7 +36,7 @@ class Process:
     def deliver(self, secret: bytes = SECRET) -> httpx.Response:
         body = json.dumps({"after": "x"}).encode()
         headers = {"X-Gitea-Event": "push", "X-Gitea-Signature": sign(body, secret)}
-        return httpx.post(f"http://{self.address}/webhook", content=body, headers=headers)
+        return http_calls.post(f"http://{self.address}/webhook", content=body, headers=headers)
 
     def stop(self) -> None:
         self.server.stop()
@@ -60,11 +61,11 @@ def waiting(leader: Process) -> Iterator[Process]:
 
 def test_pages_and_questions_are_answered_by_the_leader(leader: Process, waiting: Process) -> None:
     for process in (leader, waiting):
-        assert httpx.get(f"http://{process.address}/plans").json() == {"by": "leader"}
-        answer = httpx.post(f"http://{process.address}/explain", json={"task": "a/b"})
+        assert http_calls.get(f"http://{process.address}/plans").json() == {"by": "leader"}
+        answer = http_calls.post(f"http://{process.address}/explain", json={"task": "a/b"})
         assert (answer.status_code, answer.json()) == (404, {"by": "leader", "asked": {"task": "a/b"}})
         assert answer.headers["content-type"] == "application/json"
-        assert httpx.get(f"http://{process.address}/else").status_code == 404
+        assert http_calls.get(f"http://{process.address}/else").status_code == 404
 
 
 def test_a_delivery_is_heard_by_the_leader_once(leader: Process, waiting: Process) -> None:
@@ -76,29 +77,29 @@ def test_a_delivery_is_heard_by_the_leader_once(leader: Process, waiting: Proces
 
 def test_without_a_leader_the_sender_is_refused(waiting: Process) -> None:
     waiting.leadership.other = None
-    answers = [httpx.get(f"http://{waiting.address}/plans"), waiting.deliver()]
+    answers = [http_calls.get(f"http://{waiting.address}/plans"), waiting.deliver()]
     assert [answer.status_code for answer in answers] == [503, 503]
     assert "no process of this manager leads" in answers[0].text
     waiting.leadership.other = f"127.0.0.1:{free_port()}"
-    answer = httpx.get(f"http://{waiting.address}/plans")
+    answer = http_calls.get(f"http://{waiting.address}/plans")
     assert (answer.status_code, waiting.leadership.other in answer.text) == (503, True)
 
 
 def test_two_that_take_each_other_for_the_leader_do_not_ask_for_ever(leader: Process, waiting: Process) -> None:
     leader.leadership.number = None
     leader.leadership.other = waiting.address
-    assert httpx.get(f"http://{waiting.address}/plans").status_code == 503
+    assert http_calls.get(f"http://{waiting.address}/plans").status_code == 503
 
 
 @pytest.mark.parametrize("name", ["x-robotkube-forwarded", "x-robotkube-handed-on"])
 def test_what_was_forwarded_is_not_forwarded_again(leader: Process, waiting: Process, name: str) -> None:
     """The second name is that of a process of the version before, during an upgrade."""
-    assert httpx.get(f"http://{waiting.address}/plans", headers={name: "1"}).status_code == 503
-    assert httpx.get(f"http://{leader.address}/plans", headers={name: "1"}).status_code == 200
+    assert http_calls.get(f"http://{waiting.address}/plans", headers={name: "1"}).status_code == 503
+    assert http_calls.get(f"http://{leader.address}/plans", headers={name: "1"}).status_code == 200
 
 
 def test_headers_that_are_no_ascii_are_forwarded(waiting: Process) -> None:
-    answer = httpx.post(
+    answer = http_calls.post(
         f"http://{waiting.address}/explain", content=b"{}", headers={"Content-Type": b"application/json; \xfc"}
     )
     assert (answer.status_code, answer.json()) == (404, {"by": "leader", "asked": {}})
@@ -107,7 +108,7 @@ def test_headers_that_are_no_ascii_are_forwarded(waiting: Process) -> None:
 def test_health_and_metrics_are_a_process_s_own(waiting: Process) -> None:
     waiting.leadership.other = None
     for path in ("/livez", "/readyz", "/metrics"):
-        assert httpx.get(f"http://{waiting.address}{path}").status_code == 200
+        assert http_calls.get(f"http://{waiting.address}{path}").status_code == 200
 
 
 @pytest.mark.parametrize(

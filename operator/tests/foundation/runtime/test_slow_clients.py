@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from typing import Any
 
-import httpx
 import pytest
 
 from robotkube.foundation.documents.core.json_codec import LEVELS_MAX
@@ -23,6 +22,7 @@ from robotkube.foundation.runtime.adapters.bounded_connections import (
 )
 from robotkube.foundation.runtime.adapters.webhook_server import BODY_BYTES_MAX, WebServer
 from robotkube.foundation.runtime.core.webhook_deliveries import WebhookDelivery, sign
+from tests.stages import http_calls
 from tests.stages.attacks import shown
 from tests.stages.paths import REPOSITORY
 from tests.stages.waiting import until
@@ -147,7 +147,7 @@ def test_sixty_slow_connections_of_one_source_keep_nobody_else_out(start: Callab
         assert served.answer(HERE, signed_delivery()) == b"HTTP/1.1 204"
     assert served.answer(HERE, LIVE) == b"HTTP/1.1 200"
     for path in ("/livez", "/readyz", "/metrics"):
-        assert httpx.get(f"http://{HERE}:{served.server.ports['health_port']}{path}").status_code == 200
+        assert http_calls.get(f"http://{HERE}:{served.server.ports['health_port']}{path}").status_code == 200
 
 
 def test_probes_are_answered_while_their_own_source_has_all_its_places(start: Callable[..., Served]) -> None:
@@ -299,7 +299,7 @@ def test_the_health_port_answers_nothing_else(start: Callable[..., Served]) -> N
 def test_a_process_whose_other_port_has_stopped_is_not_live(start: Callable[..., Served]) -> None:
     served = start()
     served.server._servers["port"].stop()
-    answer = httpx.get(f"http://{HERE}:{served.server.ports['health_port']}/livez")
+    answer = http_calls.get(f"http://{HERE}:{served.server.ports['health_port']}/livez")
     assert (answer.status_code, "has stopped" in answer.text) == (503, True)
 
 
@@ -307,7 +307,7 @@ def test_without_a_health_port_there_is_one_port() -> None:
     server = WebServer(HERE, 0, list, str)
     server.start()
     assert list(server.ports) == ["port"]
-    assert httpx.get(f"http://{HERE}:{server.port}/readyz").status_code == 200
+    assert http_calls.get(f"http://{HERE}:{server.port}/readyz").status_code == 200
     server.stop()
 
 

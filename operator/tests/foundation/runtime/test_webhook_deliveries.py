@@ -120,3 +120,20 @@ def test_any_document_is_refused_or_has_the_form(document: Any) -> None:
 def test_any_document_of_gitlab_is_refused_or_has_the_form(document: Any) -> None:
     delivery = received(read_gitlab, document)
     assert delivery is None or isinstance(delivery.repository, str)
+
+
+@pytest.mark.parametrize(
+    ("event", "repository", "payload", "tip"),
+    [
+        ("push", "a/b", {"ref": "refs/heads/main", "after": "c" * 40}, "c" * 40),
+        ("push", "a/b", {"ref": "refs/heads/main"}, ""),
+        ("push", "a/b", {"ref": "refs/heads/other", "after": "c" * 40}, None),
+        ("push", "a/c", {"ref": "refs/heads/main", "after": "c" * 40}, None),
+        ("pull_request", "a/b", {"ref": "refs/heads/main", "after": "c" * 40}, None),
+    ],
+)
+def test_a_delivery_says_where_a_branch_moved_to(
+    event: str, repository: str, payload: dict[str, str], tip: str | None
+) -> None:
+    delivery = WebhookDelivery(event, {**payload, "repository": {"full_name": repository}})
+    assert delivery.moved_to("a/b", "main") == tip

@@ -10,6 +10,7 @@ import pytest
 from robotkube.foundation.runtime.adapters.bounded_connections import CONNECTIONS_OF_SOURCE_MAX
 from robotkube.foundation.runtime.adapters.webhook_server import BODY_BYTES_MAX, WebServer
 from robotkube.foundation.runtime.core.webhook_deliveries import WebhookDelivery, sign
+from tests.stages import http_calls
 
 SECRET = b"shared"
 
@@ -37,7 +38,7 @@ def receiver() -> Iterator[Receiver]:
 
 def deliver(receiver: Receiver, body: bytes, signature: str | None = None) -> httpx.Response:
     headers = {"X-Gitea-Event": "push", "X-Gitea-Signature": sign(body, SECRET) if signature is None else signature}
-    return httpx.post(f"{receiver.url}/webhook", content=body, headers=headers)
+    return http_calls.post(f"{receiver.url}/webhook", content=body, headers=headers)
 
 
 def test_a_signed_delivery_arrives(receiver: Receiver) -> None:
@@ -57,12 +58,12 @@ def test_deliveries_of_github_and_gitlab_arrive_in_the_same_words(receiver: Rece
     closed = {"object_kind": "merge_request", "project": project, "object_attributes": {"iid": 1, "action": "merge"}}
     asked = [(hub, body), *((lab, json.dumps(payload).encode()) for payload in (pushed, closed, {"project": 7}))]
     for headers, content in asked:
-        assert httpx.post(f"{receiver.url}/webhook", content=content, headers=headers).status_code == 204
+        assert http_calls.post(f"{receiver.url}/webhook", content=content, headers=headers).status_code == 204
     push = WebhookDelivery("push", json.loads(body))
     closing = WebhookDelivery("pull_request", {"action": "closed", "repository": {"full_name": "a/b"}})
     assert receiver.deliveries == [push, push, closing, WebhookDelivery("", {"repository": {"full_name": ""}})]
     wrong = {**lab, "X-Gitlab-Token": "another"}
-    assert httpx.post(f"{receiver.url}/webhook", content=body, headers=wrong).status_code == 401
+    assert http_calls.post(f"{receiver.url}/webhook", content=body, headers=wrong).status_code == 401
 
 
 @pytest.mark.parametrize(
@@ -98,7 +99,7 @@ def raw(receiver: Receiver, request: bytes) -> bytes:
 
 
 def test_health_and_metrics(receiver: Receiver) -> None:
-    with httpx.Client(base_url=receiver.url) as client:
+    with http_calls.client(base_url=receiver.url) as client:
         assert client.get("/livez").status_code == 200
         assert client.get("/readyz").text == "ok\n"
         receiver.reasons.append("the forge was not seen for 40 s")

@@ -43,7 +43,7 @@ def surroundings(platform: Platform) -> Iterator[Mapping[str, str]]:
         **os.environ,
         "PATH": programs,
         "KUBECONFIG": str(platform.installer.kubeconfig),
-        "IMAGE": images["ros"],
+        "IMAGE": images["event-detector"],
         "BROKER_IMAGE": images["mosquitto"],
         "NODE": node["metadata"]["name"],
         "AGENT": AGENT,

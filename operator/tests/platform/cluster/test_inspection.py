@@ -12,13 +12,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import httpx
 import pytest
 
 from ci.cluster import images, node_processes, outages
 from ci.cluster.processes import Process, recorded
 from ci.cluster.records import ClusterFolders
 from robotkube.registry.admission.core.domain import account
+from tests.stages import http_calls
 from tests.stages.platform.running_platform import Platform, eventually
 from tests.stages.platform.runtime_calls import PodSandbox, remove_container, start_container
 
@@ -47,7 +47,7 @@ def reasons(platform: Platform, name: str) -> list[tuple[str, str, str]]:
 def is_told(platform: Platform, looks_at: str, reason: str, words: str) -> None:
     """Metric and Event of a stranger stand beside its condition."""
     [pod] = platform.get("-n", "robotkube", "pods", "-l", "app.kubernetes.io/name=inspector")["items"]
-    page = httpx.get(f"http://{pod['status']['podIP']}:8081/metrics", timeout=10).text
+    page = http_calls.get(f"http://{pod['status']['podIP']}:8081/metrics", timeout=10).text
     series = [line for line in page.splitlines() if line.startswith("robotkube_inspection_strangers{")]
     assert [line for line in series if f'looks_at="{looks_at}"' in line and f'reason="{reason}"' in line], page
     events = platform.get("-n", "robotkube", "events.events.k8s.io")["items"]

@@ -20,7 +20,7 @@ from robotkube.foundation.kubernetes.core.network_policies import NetworkPeer, N
 from tests.stages.network.namespaces import reached
 from tests.stages.platform.running_platform import Platform, eventually
 
-PORTS = (22, 1883, 3000, 6379, 7000, 8080, 8081, 8083, 10250, 27017)
+PORTS = (22, 1883, 3000, 6379, 7000, 8080, 8081, 8083, 8883, 10250, 27017)
 HOST_PORTS = (53, 6443)
 LEAST_SECONDS, MOST_SECONDS = 2.0, 30.0
 PARALLEL = 8
@@ -134,7 +134,7 @@ def test_a_vehicle_reaches_its_own_and_the_broker_alone(
     [own] = [one for key, one in pods.items() if key.startswith("vehicle-00/mqtt-bridge")]
     [broker] = [key for key in pods if key.startswith("robotkube/broker")]
     others = [host(platform), *(one.peer for one in pods.values() if one.peer.namespace != "vehicle-00")]
-    wanted = {(own.key, broker, 1883), (own.key, "host", 53), (own.key, "host", 6443)}
+    wanted = {(own.key, broker, 8883), (own.key, "host", 53), (own.key, "host", 6443)}
     assert found(own.key, own.namespace, others, wanted) == wanted
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -121,3 +123,28 @@ def problems(pod: Mapping[str, Any]) -> list[str]:
         }
         found += [f"{container['name']}: {what}" for what, holds in wanted.items() if not holds]
     return found
+
+
+def test_what_was_recorded_is_proved_by_its_seals(platform: Platform, story: Story) -> None:
+    """With the files and the database of the cluster, by the command that a person runs. Exit code 1 is a gap that the
+    recording names itself; 4 would be a recording that nothing proves."""
+
+    def ask(*words: str) -> tuple[int, Any]:
+        command = [sys.executable, "-m", "robotkube.cli", "recording", *words, "-o", "json"]
+        surroundings = {**os.environ, "KUBECONFIG": str(platform.installer.kubeconfig)}
+        done = subprocess.run(
+            command, env=surroundings, capture_output=True, text=True, timeout=COMMANDS_SECONDS_MAX, check=False
+        )
+        assert done.stdout, done.stderr
+        return done.returncode, json.loads(done.stdout)
+
+    code, listed = ask("list")
+    assert code == 0
+    recordings = [row["recording"] for row in listed["recordings"] if row["state"] == "ended"]
+    assert recordings, story.output[-2000:]
+    for recording in recordings:
+        code, proof = ask("verify", recording)
+        assert proof["manifests"], recording
+        assert {row["sealed"] for row in proof["manifests"]} == {"true"}, recording
+        assert code in (0, 1), recording
+        assert (code == 0) == all(row["complete"] for row in proof["topics"]), recording

@@ -1,4 +1,4 @@
-"""The results of the ten stories, for the docs."""
+"""What several of the ten stories tell of, played once, and the results of all of them, for the docs."""
 
 from __future__ import annotations
 
@@ -8,8 +8,27 @@ from pathlib import Path
 import pytest
 
 from ci.principles import RESULTS
+from tests.stages.platform import roadside_perception, two_operators
+from tests.stages.platform.roadside_perception import RoadsidePerception
+from tests.stages.platform.running_platform import Platform
+from tests.stages.platform.table_one import on_stage
+from tests.stages.platform.two_operators import TwoOperators
 
 outcomes: dict[str, str] = {}
+
+
+@pytest.fixture(scope="session")
+def perception(platform: Platform) -> RoadsidePerception:
+    """Environment perception on the road-side unit, from its task to its withdrawal."""
+    with on_stage(platform) as stage:
+        return roadside_perception.play(stage)
+
+
+@pytest.fixture(scope="session")
+def operators(platform: Platform) -> TwoOperators:
+    """The cloud's operator and one on a vehicle, from a person's pull request until nothing is left."""
+    with on_stage(platform) as stage:
+        return two_operators.play(stage)
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:

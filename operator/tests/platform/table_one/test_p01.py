@@ -5,6 +5,9 @@ units, and in automated vehicles.
 
 Story: Machines of every role are nodes of one cluster, each labelled with its agent. The same service is asked for in
 the cloud, on an edge server, on a road-side unit and on a vehicle; every pod of every release runs on its agent's node.
+
+Asserted: on the cluster's Nodes and their labels, that every pod of a release runs on a Node of its release's agent,
+for every release on main; for the four that were asked for, that the Node has the role, too.
 """
 
 from __future__ import annotations

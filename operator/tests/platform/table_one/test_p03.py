@@ -6,28 +6,21 @@ application to a road-side unit to support the vehicle.
 
 Story: A person's pull request launches the operator in the cloud. The vehicle's poses near the intersection lead to
 perception on the road-side unit, without anybody's doing; its poses far away take it back.
+
+Asserted: on main, that the operator was asked for by a person and perception by a task of a rule; on the pods' Nodes,
+that perception runs on the road-side unit; on pods and tasks, that nothing is left. The poses are published on the
+vehicle and the road-side unit; the operator acts on what reaches the cloud.
 """
 
 from __future__ import annotations
 
-from tests.stages.platform.intersection import SITE_SERVICES, approached, left, operator
-from tests.stages.platform.running_platform import eventually
-from tests.stages.platform.table_one import Stage
-
-OPERATOR = "cloud-0/intersection-operator"
+from tests.stages.platform.intersection import SITE_SERVICES
+from tests.stages.platform.two_operators import TwoOperators
 
 
-def test_a_person_launches_software_that_launches_perception(stage: Stage) -> None:
-    with stage.asked_by_a_person(operator("roadside-operator")):
-        stage.await_running(OPERATOR)
-        asked = stage.commit_of(OPERATOR)
-        assert asked.trailers["Cause"] == ("initial",)
-        with approached(stage):
-            pods = stage.await_running(*SITE_SERVICES)
-            assert {stage.node_labels(pod.node)["robotkube.io/role"] for pod in pods.values()} == {"roadside"}
-            made = stage.commit_of(SITE_SERVICES[0])
-            assert made.trailers["Task"]
-            assert made.trailers["Rule"]
-        with left(stage):
-            stage.await_gone(*SITE_SERVICES)
-            eventually("no task is left on the road-side unit", lambda: not stage.tasks("roadside-0"))
+def test_a_person_launches_software_that_launches_perception(operators: TwoOperators) -> None:
+    assert operators.launch.trailers["Cause"] == ("initial",)
+    assert set(operators.supporting) == set(SITE_SERVICES)
+    assert operators.roles == {"roadside"}
+    assert operators.support.trailers["Task"]
+    assert operators.support.trailers["Rule"]

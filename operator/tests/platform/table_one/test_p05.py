@@ -5,29 +5,23 @@ separately packaged into their own containers.
 
 Story: Environment perception runs as two pods of one container each, from two charts that main names by two digests;
 one of the containers is ended, and the other does not notice.
+
+Asserted: on the pods, one container each and every image by a digest; on main, two charts with two digests; on the
+pods' identities, that one is another pod afterwards and the other the same.
 """
 
 from __future__ import annotations
 
-from tests.stages.platform.running_platform import eventually
-from tests.stages.platform.table_one import Stage
-
-DETECTION, TRACKING = "roadside-0/object-detection-roadside-0", "roadside-0/object-tracking-roadside-0"
+from tests.stages.platform.roadside_perception import DETECTION, TRACKING, RoadsidePerception
 
 
-def test_each_service_has_a_container_of_its_own(stage: Stage) -> None:
-    stage.submit("cloud-0", "p05-perception", application="environment-perception", parameters={"sensor": "roadside-0"})
-    pods = stage.await_running(DETECTION, TRACKING)
+def test_each_service_has_a_container_of_its_own(perception: RoadsidePerception) -> None:
+    pods = perception.pods
     assert {release: len(pod.images) for release, pod in pods.items()} == {DETECTION: 1, TRACKING: 1}
     assert all("@sha256:" in image for pod in pods.values() for image in pod.images)
-    charts = {release: stage.annotation(release, "chart") for release in pods}
-    assert charts == {DETECTION: "object-detection", TRACKING: "object-tracking"}
-    assert len({stage.annotation(release, "chart-digest") for release in pods}) == 2
-    stage.platform.kubectl("-n", "roadside-0", "delete", "pod", pods[DETECTION].name, "--grace-period=0", "--force")
+    assert perception.charts == {DETECTION: "object-detection", TRACKING: "object-tracking"}
+    assert len(set(perception.digests.values())) == 2
 
-    def replaced() -> bool:
-        found = stage.pods(DETECTION)
-        return len(found) == 1 and found[0].ready and found[0].uid != pods[DETECTION].uid
 
-    eventually("another container of the detection runs", replaced)
-    assert [pod.uid for pod in stage.pods(TRACKING)] == [pods[TRACKING].uid]
+def test_the_end_of_one_container_is_not_noticed_by_the_other(perception: RoadsidePerception) -> None:
+    assert [pod.uid for pod in perception.tracking_after] == [perception.pods[TRACKING].uid]

@@ -6,6 +6,9 @@ application.
 Story: A detection may run on a road-side unit or on an edge server. The machine it runs on is ended; it runs on the
 other one, and the commit that moved it says which node was lost and for how long. When the machine is back there is
 still only one.
+
+Asserted: on the pods' Nodes, where it ran and runs; on main, that one release answers the task, and that the commit's
+trailer and message say which Node was lost; on the pods, that there is one when the machine is back.
 """
 
 from __future__ import annotations

@@ -7,6 +7,9 @@ based on guarantees associated with applications in the application registries.
 Story: Two versions of the detection are in the registry: one more exact, one faster. Tasks that ask for detection, not
 for an application, get the version that guarantees what they require; one that requires what nobody guarantees gets
 none.
+
+Asserted: on main, which versions the two tasks got, with two digests, and that the third got none; on the third's
+condition, that it names the guarantee. Both versions run.
 """
 
 from __future__ import annotations

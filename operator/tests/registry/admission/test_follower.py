@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import pytest
 
@@ -123,18 +125,26 @@ def test_what_is_no_passing_fault_ends_it() -> None:
 
 
 def test_it_steps_when_it_is_woken_and_by_itself_now_and_then(monkeypatch: pytest.MonkeyPatch) -> None:
-    stage, stopping = Stage(), threading.Event()
-    monkeypatch.setattr(module, "RESYNC_SECONDS", 3600.0)
+    stage = Stage()
+    with running(stage, monkeypatch, 3600.0):
+        until(lambda: stage.followed.steps == 1)
+        stage.follower.wake()
+        until(lambda: stage.followed.steps == 2)
+    with running(stage, monkeypatch, 0.01):
+        until(lambda: stage.followed.steps > 5, "polling")
+
+
+@contextmanager
+def running(stage: Stage, monkeypatch: pytest.MonkeyPatch, seconds: float) -> Iterator[None]:
+    """The follower on a thread, which ends when it is told so."""
+    monkeypatch.setattr(module, "RESYNC_SECONDS", seconds)
+    stopping = threading.Event()
     thread = threading.Thread(target=stage.follower.run, args=(stopping,))
     thread.start()
-    until(lambda: stage.followed.steps == 1)
-    stage.follower.wake()
-    until(lambda: stage.followed.steps == 2)
-    monkeypatch.setattr(module, "RESYNC_SECONDS", 0.01)
-    stage.follower.wake()
-    until(lambda: stage.followed.steps > 5, "polling")
-    monkeypatch.setattr(module, "RESYNC_SECONDS", 3600.0)
-    stopping.set()
-    stage.follower.wake()
-    thread.join(10)
+    try:
+        yield
+    finally:
+        stopping.set()
+        stage.follower.wake()
+        thread.join(10)
     assert not thread.is_alive()

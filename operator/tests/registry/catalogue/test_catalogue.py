@@ -13,6 +13,7 @@ import pytest
 import yaml
 
 from robotkube.delivery.deployment.core.policies.initial import read_initial_policy
+from robotkube.delivery.deployment.core.releases import Release
 from robotkube.delivery.manager.core.composition.composer import Demand, Inputs, Met, compose
 from robotkube.delivery.manager.core.composition.initial_demands import initial_demands
 from robotkube.delivery.manager.core.placement.placement import Agent, NodeState, fleet
@@ -185,19 +186,62 @@ def test_every_chart_is_used() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sensor", "agent", "sent"),
-    [("roadside-0", "roadside-0", ["objects", "uncertainty"]), ("vehicle-00", "cloud-0", [])],
+    ("sensor", "agent", "place"),
+    [
+        ("roadside-0", "roadside-0", "/vehicles/roadside_0"),
+        ("vehicle-00", "cloud-0", "/agents/cloud_0/vehicles/vehicle_00"),
+    ],
 )
-def test_results_leave_a_node_only_from_the_sensor_s_own_agent(sensor: str, agent: str, sent: list[str]) -> None:
-    """The broker takes an agent's topics from that agent alone; another one's clouds are fetched."""
+def test_results_have_a_name_that_their_agent_may_write(sensor: str, agent: str, place: str) -> None:
+    """On the sensor's own agent the sensor's; elsewhere the same below the agent's: the sensor's agent hears it."""
     releases = everything({"object-detection": {"sensor": sensor}}, perceiving=agent)
     found = {release.key: release for release in releases.values()}
-    assert f"{agent}/object-detection-{sensor}" in found
+    detection = found[f"{agent}/object-detection-{sensor}"].values["detection"]
+    results = [f"{place}/{word}" for word in ("objects", "uncertainty")]
+    assert [detection["objects"], detection["uncertainty"]] == results
     bridge = found[f"{agent}/mqtt-bridge"].values["bridge"]
-    own = [topic["name"] for topic in bridge["out"] if not topic["name"].endswith("/pose")]
-    assert own == [f"/vehicles/roadside_0/{word}" for word in sent]
+    assert [topic["name"] for topic in bridge["out"] if not topic["name"].endswith("/pose")] == results
     clouds = [topic["name"] for topic in bridge["in"] if topic["name"].endswith("/pointcloud")]
-    assert clouds == ([] if sent else ["/vehicles/vehicle_00/lidar_center/pointcloud"])
+    assert clouds == ([] if sensor == agent else ["/vehicles/vehicle_00/lidar_center/pointcloud"])
+    hearing = [key.split("/")[0] for key, one in found.items() if brought_in(one) & set(results)]
+    assert hearing == (["cloud-0"] if sensor == agent else ["vehicle-00"])
+
+
+@pytest.mark.parametrize(
+    ("sensor", "receiver", "topic"),
+    [
+        ("vehicle-00", "roadside-0", "/agents/cloud_0/vehicles/vehicle_00/objects"),
+        ("roadside-0", "vehicle-00", "/vehicles/roadside_0/objects"),
+    ],
+)
+def test_results_go_to_who_is_named(sensor: str, receiver: str, topic: str) -> None:
+    parameters = {"sensor": sensor, "receivers": [receiver]}
+    where = "cloud-0" if sensor == "vehicle-00" else sensor
+    releases = everything({"object-detection": parameters}, perceiving=where).values()
+    hearing = {one.key: brought_in(one) for one in releases}
+    assert topic in hearing[f"{receiver}/mqtt-bridge"]
+    assert hearing[f"{sensor}/mqtt-bridge"] == set()
+
+
+def brought_in(release: Release) -> set[str]:
+    """The topics that a bridge brings in."""
+    return {topic["name"] for topic in release.values.get("bridge", {}).get("in", [])}
+
+
+@pytest.mark.parametrize("receivers", [[], ["vehicle-00"], ["vehicle-00", "cloud-0", "roadside-0"]])
+def test_results_of_perception_arrive_where_they_are_wanted(receivers: list[str]) -> None:
+    """Under the names that they have where they are made, and once, whoever else wants them."""
+    releases = everything({"environment-perception": {"sensor": "roadside-0", "receivers": receivers}})
+    results = [f"/vehicles/roadside_0/{word}" for word in ("objects", "tracks")]
+
+    def carried(agent: str, direction: str) -> list[str]:
+        values = {release.key: release.values for release in releases.values()}
+        topics = [topic["name"] for topic in values[f"{agent}/mqtt-bridge"]["bridge"][direction]]
+        return [name for name in topics if name in results]
+
+    assert carried("roadside-0", "out") == carried("cloud-0", "in") == results
+    assert carried("vehicle-00", "in") == (results if "vehicle-00" in receivers else [])
+    assert carried("roadside-0", "in") == []
 
 
 def test_composed_detectors_read_their_settings() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Callable, Iterator
+from functools import cache
 from typing import Any
 
 import pytest
@@ -63,10 +64,11 @@ APPLICATION = {
                     {
                         "name": "/a",
                         "type": "std_msgs/msg/String",
-                        "channel": "bulk",
+                        "channel": "safety",
                         "reliability": "reliable",
                         "durability": "volatile",
                         "depth": 10,
+                        "deadline_seconds": 0.5,
                     }
                 ],
             },
@@ -84,10 +86,17 @@ CHART = {
         "channel": "stable",
         "platforms": ["linux/amd64"],
         "images": ["ros"],
+        "settings": "watched",
         "provides": ["a/b"],
         "replaces": "0.1.0",
         "skips": ["0.0.1"],
         "resources": {"cpu": "100m", "memory": "64Mi"},
+        "success": {
+            "noEventOf": ["lidar-proximity", "r:1"],
+            "probesOf": ["app"],
+            "rates": [{"topic": "/x", "atLeastHz": 1.5}],
+            "seconds": 60,
+        },
         "guarantees": [{"name": "g", "atLeast": 1.5, "unit": "Hz", "description": "when alone"}],
         "interfaces": [
             {
@@ -170,7 +179,9 @@ BEYOND_SCHEMAS = (
 )
 
 
+@cache
 def schema(name: str) -> dict[str, Any]:
+    """The same object each time: what is made of a schema is kept by it."""
     return dict(json.loads((REGISTRY / "schemas" / f"{name}.json").read_text()))
 
 

@@ -38,6 +38,7 @@ ENTRIES = entry_documents(read_catalogue(FILES, published=False))
                 "object-detection",
                 "pose-point-cloud-recording",
                 "pose-telemetry",
+                "proximity-operator",
                 "task-door",
             ],
         ),

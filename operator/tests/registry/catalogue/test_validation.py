@@ -17,6 +17,7 @@ from robotkube.registry.catalogue.core.guarantees import UNITS
 from robotkube.registry.catalogue.core.sources import SourceProblem, Tools
 from robotkube.registry.catalogue.core.validation import validate_sources
 from tests.stages.paths import REPOSITORY
+from tests.stages.registry.link_mistakes import LINKS, PERCEPTION
 from tests.stages.registry.registry_mistakes import (
     BRIDGE,
     CHARTS,
@@ -32,7 +33,6 @@ from tests.stages.registry.registry_mistakes import (
     write,
 )
 
-PERCEPTION = "registry/applications/environment-perception.yaml"
 SECONDS_MAX = 10.0  # of the processor for 500 versions; it takes 2
 
 
@@ -77,18 +77,21 @@ def test_what_registry_new_writes_has_no_mistakes(folder: Path) -> None:
     assert findings(folder, charts=True) == []
 
 
+@pytest.mark.parametrize("charts", [False, True])
+def test_the_copy_has_no_mistakes_before_one_is_made(folder: Path, charts: bool) -> None:
+    assert findings(folder, charts) == []
+
+
 @pytest.mark.parametrize("mistake", [*FILES, *REFERENCES, *TEMPLATES], ids=lambda m: m.name)
 def test_a_mistake_is_named(folder: Path, mistake: Mistake) -> None:
-    assert findings(folder) == []
     mistake.make(folder)
     found = findings(folder)
     assert any(_names(f, mistake) for f in found), "\n".join(map(str, found))
     assert all(";" in f.text for f in found), "no fix: " + "\n".join(map(str, found))
 
 
-@pytest.mark.parametrize("mistake", CHARTS, ids=lambda m: m.name)
+@pytest.mark.parametrize("mistake", [*CHARTS, *LINKS], ids=lambda m: m.name)
 def test_a_difference_from_the_chart_is_named(folder: Path, mistake: Mistake) -> None:
-    assert findings(folder, charts=True) == []
     mistake.make(folder)
     found = findings(folder, charts=True)
     assert any(_names(f, mistake) for f in found), "\n".join(map(str, found))

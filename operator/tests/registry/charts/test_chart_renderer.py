@@ -18,6 +18,7 @@ from robotkube.registry.charts.core.unpacking import unpack_chart
 from tests.stages.forge.real_charts import chart_with_image_value
 from tests.stages.paths import CHARTS
 from tests.stages.programs import program
+from tests.stages.registry import chart_images
 
 pytestmark = pytest.mark.toolchain
 
@@ -41,7 +42,7 @@ def chart(template: str, **files: str) -> dict[str, bytes]:
 
 
 def packed(folder: Path) -> dict[str, bytes]:
-    archive = pack(folder, {"ros": IMAGE})
+    archive = pack(folder, chart_images.all_as(IMAGE))
     return dict(unpack_chart(folder.name, archive.manifest, archive.config, archive.archive).files)
 
 

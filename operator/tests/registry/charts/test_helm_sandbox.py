@@ -42,7 +42,7 @@ def rendered(helm: HelmProgram, expression: str, values: Mapping[str, Any] | Non
 
 
 def test_a_chart_of_the_platform_is_rendered(helm: HelmProgram) -> None:
-    packed = pack(CHARTS / "mqtt-bridge", {"ros": "forge/robotkube/ros@sha256:" + "0" * 64})
+    packed = pack(CHARTS / "mqtt-bridge", {"mqtt-bridge": "forge/robotkube/mqtt-bridge@sha256:" + "0" * 64})
     files = unpack_chart("mqtt-bridge", packed.manifest, packed.config, packed.archive).files
     agent = {"placement": {"agent": "vehicle-00"}}
     objects = helm.render(files, agent, "mqtt-bridge", "robotkube-suite-0")

@@ -8,7 +8,6 @@ import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 
-import httpx
 import pytest
 
 from robotkube.errors import InputError, UnavailableError
@@ -17,6 +16,7 @@ from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.charts.core.packing import MANIFEST_TYPE, PackedChart, pack_chart
 from robotkube.registry.charts.core.referrers import ARTEFACT_BYTES_MAX, EMPTY, EMPTY_TYPE, INDEX_TYPE, fallback_tag
 from robotkube.registry.evidence.core.statements import ENVELOPE_MEDIA_TYPE, SUITE_ANNOTATION
+from tests.stages import http_calls
 from tests.stages.forge.gitea import ForgeProcess
 
 pytestmark = pytest.mark.toolchain
@@ -36,7 +36,7 @@ def organisations(forge_process: ForgeProcess) -> tuple[str, str]:
     account = (forge_process.administrator, forge_process.administrator_password)
     names = tuple(f"{kind}-{secrets.token_hex(4)}" for kind in ("staging", "verified"))
     for name in names:
-        httpx.post(f"{forge_process.url}/api/v1/orgs", json={"username": name}, auth=account).raise_for_status()
+        http_calls.post(f"{forge_process.url}/api/v1/orgs", json={"username": name}, auth=account).raise_for_status()
     return names[0], names[1]
 
 
@@ -113,11 +113,11 @@ def test_the_list_is_the_index_of_the_specification(
     digest = attach(registry, staging, "static")
     account = (forge_process.administrator, forge_process.administrator_password)
     address = f"{forge_process.url}/v2/{staging}/manifests"
-    answer = httpx.get(f"{address}/{fallback_tag(chart().digest)}", auth=account, headers={"Accept": INDEX_TYPE})
+    answer = http_calls.get(f"{address}/{fallback_tag(chart().digest)}", auth=account, headers={"Accept": INDEX_TYPE})
     index = answer.json()
     assert answer.headers["Content-Type"] == index["mediaType"] == INDEX_TYPE
     assert [(line["digest"], line["artifactType"]) for line in index["manifests"]] == [(digest, ENVELOPE_MEDIA_TYPE)]
-    artefact = httpx.get(f"{address}/{digest}", auth=account, headers={"Accept": MANIFEST_TYPE}).json()
+    artefact = http_calls.get(f"{address}/{digest}", auth=account, headers={"Accept": MANIFEST_TYPE}).json()
     assert artefact["subject"]["digest"] == chart().digest
     assert artefact["config"] == {"mediaType": EMPTY_TYPE, "digest": sha256(EMPTY), "size": 2}
 

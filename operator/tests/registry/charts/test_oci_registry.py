@@ -9,13 +9,13 @@ import tarfile
 from collections.abc import Iterator
 from pathlib import Path
 
-import httpx
 import pytest
 
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.documents.core.digests import canonical_json, sha256
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.charts.core.packing import PackedChart, pack_chart
+from tests.stages import http_calls
 from tests.stages.forge.gitea import ForgeProcess
 from tests.stages.programs import program
 
@@ -32,7 +32,8 @@ def chart(template: str = "kind: ConfigMap\n", version: str = "0.1.0") -> Packed
     )
 
 
-def image_archive(path: Path, layers: list[bytes]) -> str:
+def image_archive(path: Path, layers: list[bytes], elsewhere: int = 0) -> str:
+    """An image whose first `elsewhere` layers are not in its archive; its digest."""
     config = canonical_json({"architecture": "amd64", "os": "linux", "rootfs": {"type": "layers", "diff_ids": []}})
     entries = [{"mediaType": LAYER_TYPE, "digest": sha256(layer), "size": len(layer)} for layer in layers]
     described = {"mediaType": CONFIG_TYPE, "digest": sha256(config), "size": len(config)}
@@ -40,7 +41,7 @@ def image_archive(path: Path, layers: list[bytes]) -> str:
     manifest = canonical_json({"schemaVersion": 2, "mediaType": kind, "config": described, "layers": entries})
     index = canonical_json({"schemaVersion": 2, "manifests": [{"digest": sha256(manifest), "size": len(manifest)}]})
     with tarfile.open(path, "w") as tar:
-        files = {f"blobs/{sha256(data).replace(':', '/')}": data for data in (config, manifest, *layers)}
+        files = {f"blobs/{sha256(data).replace(':', '/')}": data for data in (config, manifest, *layers[elsewhere:])}
         for name, data in (files | {"index.json": index}).items():
             info = tarfile.TarInfo(name)
             info.size = len(data)
@@ -52,7 +53,7 @@ def image_archive(path: Path, layers: list[bytes]) -> str:
 def organisation(forge_process: ForgeProcess) -> str:
     name = f"charts-{secrets.token_hex(4)}"
     account = (forge_process.administrator, forge_process.administrator_password)
-    httpx.post(f"{forge_process.url}/api/v1/orgs", json={"username": name}, auth=account).raise_for_status()
+    http_calls.post(f"{forge_process.url}/api/v1/orgs", json={"username": name}, auth=account).raise_for_status()
     return name
 
 
@@ -122,6 +123,18 @@ def test_images_are_streamed_and_shared_layers_sent_once(
     assert registry.manifest_digest(f"{organisation}/two", "0.1.0") == two
     with pytest.raises(InputError, match="never replaced"):
         registry.push_image(f"{organisation}/two", tmp_path / "one.tar", "0.1.0")
+
+
+def test_an_image_that_was_cut_from_another_is_pushed_with_the_layers_of_that(
+    registry: OciRegistry, organisation: str, tmp_path: Path
+) -> None:
+    below, own = os.urandom(100_000), os.urandom(1000)
+    image_archive(tmp_path / "ground.tar", [below, os.urandom(10)])
+    digest = image_archive(tmp_path / "cut.tar", [below, own], elsewhere=1)
+    with pytest.raises(InputError, match=rf"cut\.tar: has no blob {sha256(below)}; build the image again"):
+        registry.push_image(f"{organisation}/cut", tmp_path / "cut.tar")
+    assert registry.push_image(f"{organisation}/cut", tmp_path / "cut.tar", ground=tmp_path / "ground.tar") == digest
+    assert [registry.blob(f"{organisation}/cut", sha256(one), 100_000) for one in (below, own)] == [below, own]
 
 
 def test_a_wrong_account_is_told_so(forge_process: ForgeProcess, organisation: str) -> None:

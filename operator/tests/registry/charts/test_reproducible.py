@@ -26,7 +26,8 @@ CODE = """
 import json, sys
 from pathlib import Path
 from robotkube.registry.charts.adapters.chart_folders import pack
-images = {"ros": "host/ros@sha256:1", "platform": "host/platform@sha256:2"}
+services = "bag-player event-detector mqtt-bridge object-detection object-tracking"
+images = {name: f"host/{name}@sha256:1" for name in ("ros", "platform", *services.split())}
 packed = [pack(Path(folder), images, json.loads(sys.argv[1])) for folder in sys.argv[2:]]
 print(json.dumps({one.name: one.digest for one in packed}))
 """

@@ -39,7 +39,12 @@ def test_a_suite_of_a_user_names_its_image() -> None:
 )
 def test_how_long_a_chart_soaks(keys: str, seconds: int) -> None:
     found = read_verification_policy(policy(f"{{name: install, version: '2', seconds: 240{keys}}}"), PATH)
-    assert found.suites == (SuiteRule("install", "2", 240, soak_seconds=seconds),)
+    assert found.suites == (SuiteRule("install", "2", 240, soak_seconds=seconds, memory_growth_percent=10),)
+
+
+def test_how_much_a_container_may_grow_meanwhile() -> None:
+    found = read_verification_policy(policy("{name: install, version: '2', seconds: 9, memoryGrowthPercent: 25}"), PATH)
+    assert found.suites[0].memory_growth_percent == 25
 
 
 def test_a_run_that_is_short_soaks_for_half_of_it() -> None:
@@ -75,6 +80,8 @@ def test_the_digest_is_that_of_the_meaning() -> None:
         (f"{{name: {'x' * 41}, version: '1', seconds: 1, image: '{IMAGE}'}}", "spec.suites[0].name: 'xxx"),
         ("text", "spec.suites[0]: must be a mapping"),
         ("{name: static, version: '1', seconds: 60, soakSeconds: 5}", "[0].soakSeconds: only install soaks; remove it"),
+        ("{name: static, version: '1', seconds: 60, memoryGrowthPercent: 5}", "only install soaks; remove it"),
+        ("{name: install, version: '1', seconds: 60, memoryGrowthPercent: 0}", "must be a whole number from 1 to 100"),
         ("{name: install, version: '1', seconds: 60, soakSeconds: 31}", "from 0 to 30, half of `seconds`"),
         ("{name: install, version: '1', seconds: 60, soakSeconds: true}", "[0].soakSeconds: must be whole seconds"),
     ],

@@ -136,7 +136,7 @@ def test_a_failed_suite_runs_again_in_the_next_submission_and_only_that(world: P
     assert world.runner.runs.count(("relay", "interface")) == 2
     assert world.runner.runs.count(("relay", "static")) == 1
     assert "| static 1 | passed | 1.5 s | kept result |" in text
-    assert "| interface 1 | passed | 1.5 s |  |" in text
+    assert "| interface 1 | passed | 1.5 s | ended " in text
     assert assured(world, packed[0])
 
 

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import httpx
 import pygit2
 import pytest
 
@@ -23,6 +22,7 @@ from robotkube.registry.evidence.core.verification_policy import PLAIN_SUITES, r
 from robotkube.registry.publication.loops.publication import PublicationLoop
 from robotkube.registry.publication.loops.submitting import PLANNED, PUBLISHED, REFUSED, UNCHANGED, SubmissionOutcome
 from robotkube.registry.suites.core.requests import SuiteProgress
+from tests.stages import http_calls
 from tests.stages.attacks import shown
 from tests.stages.forge.catalogue_evidence import OTHER_SEED, gate_key
 from tests.stages.forge.installation import Installation
@@ -77,13 +77,13 @@ def test_a_persons_change_is_merged_by_the_gate_when_another_person_approved_it(
     assert person.push(commit, "refs/for/main", [f"topic=words-{text.strip()}", "title=words"]) == ""
     pulls = f"{installation.url}/api/v1/repos/{CATALOGUE}/pulls"
     own, other = ((name, installation.passwords[name]) for name in ("operator-team", "reviewer"))
-    found = httpx.get(pulls, auth=own, timeout=30).json()
+    found = http_calls.get(pulls, auth=own, timeout=30).json()
     number = next(pull["number"] for pull in found if pull["head"]["sha"] == commit)
     review = {"event": "APPROVED", "commit_id": commit, "body": "seen"}
-    assert httpx.post(f"{pulls}/{number}/reviews", auth=own, json=review, timeout=30).status_code in (403, 422)
-    httpx.post(f"{pulls}/{number}/reviews", auth=other, json=review, timeout=30).raise_for_status()
+    assert http_calls.post(f"{pulls}/{number}/reviews", auth=own, json=review, timeout=30).status_code in (403, 422)
+    http_calls.post(f"{pulls}/{number}/reviews", auth=other, json=review, timeout=30).raise_for_status()
     publishing.say("pull request")  # as the forge's webhook does
-    until(lambda: httpx.get(f"{pulls}/{number}", auth=own, timeout=30).json()["merged"], "merged")
+    until(lambda: http_calls.get(f"{pulls}/{number}", auth=own, timeout=30).json()["merged"], "merged")
     newest = person.repository[person.tip()].peel(pygit2.Commit)
     assert str(newest.parent_ids[1]) == commit
     assert newest.message.endswith(f"RobotKube-Pull-Request: {number}\nRobotKube-Approved-By: reviewer\n")
@@ -128,11 +128,11 @@ def test_a_submission_that_waits_is_withdrawn_and_approved_by_the_forges_api(pub
             )
         )
         closed = {"state": "closed"}
-        httpx.patch(f"{pulls}/{pull.number}", auth=publisher, json=closed, timeout=30).raise_for_status()
+        http_calls.patch(f"{pulls}/{pull.number}", auth=publisher, json=closed, timeout=30).raise_for_status()
 
     def approve(pull: PullRequest) -> None:
         review = {"event": "APPROVED", "commit_id": pull.head, "body": "Seen"}
-        httpx.post(f"{pulls}/{pull.number}/reviews", auth=person, json=review, timeout=30).raise_for_status()
+        http_calls.post(f"{pulls}/{pull.number}/reviews", auth=person, json=review, timeout=30).raise_for_status()
 
     first = publishing.submit(chart(name), applications=applications, opened=withdraw)
     assert (first.verdict, path in publishing.main()) == (REFUSED, False)
@@ -193,9 +193,9 @@ def forget(installation: Installation, name: str, digest: str) -> None:
     account = ("gate", installation.passwords["gate"])
     for organisation in ("staging", "verified"):
         where = f"{installation.url}/api/v1/packages/{organisation}"
-        for version in httpx.get(where, auth=account, params={"q": name, "limit": 50}).json():
+        for version in http_calls.get(where, auth=account, params={"q": name, "limit": 50}).json():
             url = f"{where}/container/{version['name']}/{version['version']}"
-            assert httpx.delete(url, auth=account).status_code in (204, 404)
+            assert http_calls.delete(url, auth=account).status_code in (204, 404)
 
 
 def test_forged_evidence_is_not_used(publishing: Publishing, name: str) -> None:
@@ -234,7 +234,7 @@ def test_a_version_is_not_overwritten(publishing: Publishing, name: str) -> None
 def overwrite(installation: Installation, name: str, tag: str, packed: PackedChart) -> None:
     """The publisher writes its tag again with another chart, by which Gitea deletes the manifest from before."""
     who = ("publisher", installation.passwords["publisher"])
-    with httpx.Client(base_url=f"{installation.url}/v2/{PLACE}/{name}", auth=who, timeout=30) as registry:
+    with http_calls.client(base_url=f"{installation.url}/v2/{PLACE}/{name}", auth=who, timeout=30) as registry:
         for data in (packed.config, packed.archive):
             assert registry.post("/blobs/uploads/", params={"digest": sha256(data)}, content=data).status_code == 201
         kind = {"Content-Type": "application/vnd.oci.image.manifest.v1+json"}
@@ -324,7 +324,7 @@ def test_the_publisher_can_only_propose(publishing: Publishing, name: str) -> No
 def closing_comment(installation: Installation, head: str) -> str:
     """The gate's comment once it has closed the pull request."""
     base = f"{installation.url}/api/v1/repos/{CATALOGUE}"
-    with httpx.Client(base_url=base, auth=("gate", installation.passwords["gate"]), timeout=30) as client:
+    with http_calls.client(base_url=base, auth=("gate", installation.passwords["gate"]), timeout=30) as client:
         found = client.get("/pulls", params={"state": "all", "sort": "recentupdate", "limit": 20}).json()
         number = next(item["number"] for item in found if item["head"]["sha"] == head)
         until(lambda: client.get(f"/pulls/{number}").json()["state"] == "closed", "closed by the gate")
@@ -427,7 +427,7 @@ def test_a_comment_of_somebody_else_is_not_taken_for_the_gates(publishing: Publi
     where = f"{installation.url}/api/v1/repos/{CATALOGUE}/issues/{number}/comments"
     token = base64.b64encode(f"publisher:{installation.passwords['publisher']}".encode()).decode()
     body = {"body": "<!-- robotkube: publication -->\n## Verified: everything\n"}
-    assert httpx.post(where, json=body, headers={"Authorization": f"Basic {token}"}).status_code == 201
+    assert http_calls.post(where, json=body, headers={"Authorization": f"Basic {token}"}).status_code == 201
     publishing.runner.progress.clear()
     thread.join(2 * WAIT_SECONDS)
     assert outcomes[0].verdict == PUBLISHED

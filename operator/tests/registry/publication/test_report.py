@@ -19,6 +19,7 @@ from robotkube.registry.publication.core.report import (
     readable_text,
     report_text,
 )
+from robotkube.registry.publication.core.report_results import ReportedResult, reported_results
 
 ARTEFACT = Artefact("relay", "0.1.0", "sha256:" + "1" * 64, "linux/amd64")
 PASSED = SuiteReport("static", "1", "passed", 2.13)
@@ -91,3 +92,23 @@ def test_a_terminal_sees_plain_text() -> None:
     text = readable_text(report(REFUSED, problems=("charts/a_b.yaml: <nothing> `here` @all [x]",)))
     assert "- charts/a_b.yaml: <nothing> `here` @all [x]" in text
     assert MARKER not in text
+
+
+def test_results_are_read_out_of_the_report() -> None:
+    suites = (
+        SuiteReport("static", "2", "passed", 2.13, ended="2026-11-26T06:13:26Z"),
+        SuiteReport("images", "2", "passed", 1.0, note="kept result"),
+        SuiteReport("interface", "1", "unfinished", failed=(Check("suite-finished", False, "| x | passed |", "do"),)),
+        SuiteReport(
+            "install", "2", "failed", 4.0, failed=(Check("becomes_ready", False, "\n### a\n| a b | passed | |", "do"),)
+        ),
+        SuiteReport("own", "1", "queued", note="2 runs wait before it"),
+    )
+    results = reported_results(report(CHECKING, *suites))
+    assert results == [
+        ReportedResult("relay 0.1.0", "static 2", "passed", 2.1, "2026-11-26T06:13:26Z"),
+        ReportedResult("relay 0.1.0", "images 2", "passed", 1.0),
+        ReportedResult("relay 0.1.0", "interface 1", "unfinished", checks=("suite-finished",)),
+        ReportedResult("relay 0.1.0", "install 2", "failed", 4.0, checks=("becomes_ready",)),
+    ]
+    assert reported_results("") == []

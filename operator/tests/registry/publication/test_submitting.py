@@ -7,6 +7,7 @@ import pytest
 
 from robotkube.errors import DocumentError, InputError, UnavailableError
 from robotkube.registry.evidence.core.statements import Check
+from robotkube.registry.publication.core.report_results import ReportedResult
 from robotkube.registry.publication.loops.submitting import (
     PLANNED,
     PUBLISHED,
@@ -28,8 +29,9 @@ APPLICATION = {"applications/relaying.yaml": application()}
 class Publisher:
     """Submits to a world in which the gate does a round whenever the publisher sleeps."""
 
-    def __init__(self, world: PublicationStage) -> None:
+    def __init__(self, world: PublicationStage, watching: bool = False) -> None:
         self.world, self.now = world, 0.0
+        self.results: list[ReportedResult] = []
         self.lines: list[str] = []
         self.slept: list[float] = []
         self.share = 1.0  # of a bound that is slept after a failure
@@ -45,6 +47,7 @@ class Publisher:
             self.sleep,
             self.lines.append,
             jitter=lambda: self.share,
+            report_result=self.results.append if watching else None,
         )
 
     def sleep(self, seconds: float) -> None:
@@ -223,3 +226,21 @@ def test_an_entry_that_somebody_merged_by_hand_is_reported(publisher: Publisher)
     publisher.world.catalogue.push({one.submitted.path: one.entry})
     with pytest.raises(InputError, match="main has this as staged already, by somebody else"):
         publisher.submit(SubmittedSources((one,)))
+
+
+def test_results_come_one_by_one_with_their_times_while_others_still_run(tmp_path: Path) -> None:
+    publisher = Publisher(PublicationStage(tmp_path), watching=True)
+    publisher.world.runner.progress["install"] = SuiteProgress("running")
+    with pytest.raises(UnavailableError, match="not decided within the given time"):
+        publisher.submit(SubmittedSources((source(),)), wait_seconds=5)
+    first = [(one.chart, one.suite, one.result) for one in publisher.results]
+    assert first == [("relay 0.1.0", f"{suite} 1", "passed") for suite in SUITES if suite != "install"]
+    assert all(one.ended.endswith("Z") and one.seconds is not None for one in publisher.results)
+    assert not any("passed" in line and "suites" not in line for line in publisher.lines)
+    del publisher.world.runner.progress["install"]
+    publisher.world.runner.checks["install"] = (Check("becomes-ready", False, "no", "do"), Check("x", False, "n", "d"))
+    publisher.results.clear()
+    assert publisher.submit(SubmittedSources((source(),))).verdict == REFUSED
+    (last,) = [one for one in publisher.results if one.suite.startswith("install")]
+    assert (last.result, last.checks) == ("failed", ("becomes-ready", "x"))
+    assert len(publisher.results) == len(SUITES)

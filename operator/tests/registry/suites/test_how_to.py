@@ -20,7 +20,8 @@ PROGRAM = re.compile(r"^```python short_grace\.py\n(.*?)^```$", re.MULTILINE | r
 def run(chart: str, folder: Path) -> PodRun:
     [text] = PROGRAM.findall(PAGE.read_text(encoding="utf-8"))
     (folder / "request.json").write_text(json.dumps({"chart": chart}))
-    (folder / "chart.tgz").write_bytes(pack(REPOSITORY / "charts" / "apps" / chart, {"ros": "ros@sha256:0"}).archive)
+    packed = pack(REPOSITORY / "charts" / "apps" / chart, {chart: "image@sha256:0"})
+    (folder / "chart.tgz").write_bytes(packed.archive)
     program = text.replace("/suite/", f"{folder}/")
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=30, check=False)
     return PodRun(done.stdout + done.stderr, done.returncode)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import copy
-import hashlib
+import gzip
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,10 +15,12 @@ from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.registry.charts.ports import Attachment
 from robotkube.registry.evidence.core.statements import Artefact
+from robotkube.registry.suites.adapters.kept_layers import KeptLayers
 from robotkube.registry.suites.core import image_checks
 from robotkube.registry.suites.core.image_checks import Started
 from robotkube.registry.suites.loops.images import CONFIGURATION_BYTES_MAX, ImagesSuite
 from robotkube.registry.suites.ports.suites import Subject
+from tests.stages.registry.made_layers import ELF, SITE, digest_of, hex_of, made_layer
 
 HOST, REPOSITORY = "forge.invalid:3000", "robotkube/ros"
 PROGRAM = ["robotkube-bridge"]
@@ -28,36 +31,48 @@ SETTINGS: dict[str, Any] = {
 }
 
 
-def digest_of(data: bytes) -> str:
-    return "sha256:" + hashlib.sha256(data).hexdigest()
+LAYER = made_layer({"usr/bin/tool": ELF, f"{SITE}/six-1.16.dist-info/METADATA": b"Name: six\nVersion: 1.16\n"})
 
 
-def bill_of(digest: str, purl: str = "pkg:deb/debian/libc6@2.36") -> dict[str, Any]:
+def bill_of(digest: str) -> dict[str, Any]:
+    """The bill of an image of LAYER."""
+    tool = {"type": "file", "name": "/usr/bin/tool", "hashes": [{"alg": "SHA-256", "content": hex_of(ELF)}]}
     return {
         "bomFormat": "CycloneDX",
         "metadata": {"component": {"hashes": [{"alg": "SHA-256", "content": digest.removeprefix("sha256:")}]}},
-        "components": [{"name": "libc6", "purl": purl}],
+        "components": [{"name": "six", "purl": "pkg:pypi/six@1.16"}, tool],
     }
 
 
 class MemoryRegistry:
     """Manifests, blobs and attachments by digest."""
 
-    def __init__(self) -> None:
+    def __init__(self, kept_layers: Path) -> None:
+        self.kept_layers = kept_layers
         self.contents: dict[str, bytes] = {}
         self.attached: dict[str, list[Attachment]] = {}
+        self.layers_read: list[str] = []
         self.down = False
 
     def put(self, document: Any) -> str:
-        data = json.dumps(document).encode()
+        return self.put_bytes(json.dumps(document).encode())
+
+    def put_bytes(self, data: bytes) -> str:
         self.contents[digest_of(data)] = data
         return digest_of(data)
 
-    def image(self, bill: bool = True, platform: tuple[str, str] = ("linux", "amd64"), **settings: Any) -> str:
+    def image(
+        self,
+        bill: bool = True,
+        platform: tuple[str, str] = ("linux", "amd64"),
+        layers: Sequence[bytes] = (LAYER,),
+        **settings: Any,
+    ) -> str:
         """An image with SETTINGS, some of them changed; its digest."""
         names = dict(zip(("os", "architecture"), platform, strict=True))
         config = self.put({**names, "config": {**copy.deepcopy(SETTINGS), **settings}})
-        digest = self.put({"config": {"digest": config, "size": 1}, "layers": []})
+        described = [{"digest": self.put_bytes(layer)} for layer in layers]
+        digest = self.put({"config": {"digest": config, "size": 1}, "layers": described})
         if bill:
             self.attach(digest, bill_of(digest))
         return digest
@@ -77,13 +92,17 @@ class MemoryRegistry:
         assert len(self.contents[digest]) <= bytes_max
         return self.contents[digest]
 
+    def blob_pieces(self, repository: str, digest: str, bytes_max: int) -> Iterator[bytes]:
+        self.layers_read.append(digest)
+        return iter([self.blob(repository, digest, bytes_max)])
+
     def attachments(self, repository: str, subject: str) -> Sequence[Attachment]:
         return self.attached.get(subject, [])
 
 
 @pytest.fixture
-def registry() -> MemoryRegistry:
-    return MemoryRegistry()
+def registry(tmp_path: Path) -> MemoryRegistry:
+    return MemoryRegistry(tmp_path / "layers")
 
 
 def subject_of(
@@ -111,7 +130,7 @@ def reference(digest: str) -> str:
 
 
 def problems(registry: MemoryRegistry, subject: Subject) -> dict[str, str]:
-    checks = ImagesSuite(registry, HOST, Jinja2Templates().render).run(subject)
+    checks = ImagesSuite(registry, KeptLayers(registry.kept_layers), HOST, Jinja2Templates().render).run(subject)
     assert [check.name for check in checks] == [
         "renders",
         "exist",
@@ -258,7 +277,6 @@ def test_an_image_without_a_bill(registry: MemoryRegistry) -> None:
         (b"[" * 100_000, "is not readable as JSON"),
         ({**bill_of("sha256:" + "2" * 64)}, "describes another image"),
         ({"bomFormat": "SPDX"}, "bomFormat is 'SPDX', not CycloneDX"),
-        ({"components": [{"purl": "pkg:npm/left-pad@1"}]}, "names no package of Debian, Python or Go"),
         ([1], "bomFormat is None"),
     ],
 )
@@ -266,8 +284,89 @@ def test_a_bill_that_says_nothing_about_the_image(registry: MemoryRegistry, bill
     digest = registry.image(bill=False)
     registry.attach(digest, bill)
     assert found in problems(registry, subject_of(reference(digest)))["bill-of-materials"]
-    registry.attach(digest, bill_of(digest, "pkg:pypi/pyyaml@6.0.3"))
+    registry.attach(digest, bill_of(digest))
     assert problems(registry, subject_of(reference(digest))) == {}
+
+
+def bill_found(registry: MemoryRegistry, digest: str) -> str:
+    return problems(registry, subject_of(reference(digest))).get("bill-of-materials", "")
+
+
+def test_a_file_that_is_added_to_the_image_is_missed_in_the_bill(registry: MemoryRegistry) -> None:
+    digest = registry.image(bill=False, layers=[LAYER, made_layer({"usr/bin/added": ELF})])
+    registry.attach(digest, bill_of(digest))
+    assert "the attached bill lacks 1 ELF file of the image: /usr/bin/added" in bill_found(registry, digest)
+
+
+def test_a_file_that_is_removed_from_the_image_is_one_too_many_in_the_bill(registry: MemoryRegistry) -> None:
+    digest = registry.image(bill=False, layers=[LAYER, gzip.compress(made_layer({"usr/bin/.wh.tool": b""}))])
+    registry.attach(digest, bill_of(digest))
+    assert "names 1 file that the image does not have: /usr/bin/tool" in bill_found(registry, digest)
+
+
+def test_the_bill_of_another_image_with_this_digest_written_into_it(registry: MemoryRegistry) -> None:
+    digest = registry.image(bill=False)
+    foreign = bill_of(digest) | {"components": [{"name": "libc6", "purl": "pkg:deb/debian/libc6@2.36"}]}
+    registry.attach(digest, foreign)
+    found = bill_found(registry, digest)
+    assert "lacks 1 Python package of the image: six 1.16" in found
+    assert "lacks 1 ELF file of the image: /usr/bin/tool" in found
+    assert "names 1 Debian package that the image does not have: libc6 2.36" in found
+    registry.attach(digest, bill_of(digest))
+    assert bill_found(registry, digest) == ""
+
+
+def test_an_image_without_packages_needs_no_package_in_its_bill(registry: MemoryRegistry) -> None:
+    digest = registry.image(bill=False, layers=[made_layer({"usr/bin/tool": ELF})])
+    registry.attach(digest, bill_of(digest) | {"components": bill_of(digest)["components"][1:]})
+    assert bill_found(registry, digest) == ""
+
+
+@pytest.mark.parametrize(
+    ("layers", "words"),
+    [
+        ([b"no tar"], "not readable as a layer"),
+        ([LAYER] * 129, "129 layers; at most 128 are read"),
+        ([made_layer({"x": ("hardlink", "none")})], "/x: is a hard link to /none, which is not there"),
+    ],
+)
+def test_an_image_that_cannot_be_read(registry: MemoryRegistry, layers: list[bytes], words: str) -> None:
+    digest = registry.image(bill=False, layers=layers)
+    registry.attach(digest, bill_of(digest))
+    assert f"cannot be compared with its bill: {words}" in bill_found(registry, digest)
+
+
+def test_layers_are_read_once_and_only_for_a_bill_that_says_it_is_of_this_image(registry: MemoryRegistry) -> None:
+    first = registry.image()
+    second = registry.image(layers=[LAYER, made_layer({"etc/more": b""})])
+    for _ in range(3):
+        assert bill_found(registry, first) == bill_found(registry, second) == ""
+    assert len(registry.layers_read) == 2
+    other = registry.image(bill=False, layers=[made_layer({"etc/other": b""})])
+    registry.attach(other, bill_of(first))
+    assert "describes another image" in bill_found(registry, other)
+    assert len(registry.layers_read) == 2
+
+
+def test_each_platform_of_an_index_needs_a_bill_that_lists_it(registry: MemoryRegistry) -> None:
+    names = (("linux", "amd64"), ("linux", "arm64"))
+    layers = (LAYER, made_layer({"usr/bin/arm": ELF}))
+    digests = [registry.image(bill=False, platform=one, layers=[two]) for one, two in zip(names, layers, strict=True)]
+    index = registry.put(
+        {
+            "manifests": [
+                {"digest": digest, "platform": {"os": one, "architecture": two}}
+                for digest, (one, two) in zip(digests, names, strict=True)
+            ]
+        }
+    )
+    registry.attach(index, bill_of(index))
+    subject = subject_of(reference(index), platforms=["linux/amd64", "linux/arm64"])
+    assert f"{reference(digests[1])}: the attached bill lacks" in problems(registry, subject)["bill-of-materials"]
+    arm = bill_of(digests[1])
+    arm["components"] = [{**arm["components"][1], "name": "/usr/bin/arm"}]
+    registry.attach(digests[1], arm)
+    assert problems(registry, subject) == {}
 
 
 @pytest.mark.parametrize("document", [[], "text", {"config": 1}, {"manifests": 3}, {"manifests": [{"platform": 1}]}])

@@ -9,16 +9,18 @@ from robotkube.errors import InputError
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.registry.evidence.core.statements import Check
 from robotkube.registry.suites.loops.install import InstallSuite
-from robotkube.registry.suites.loops.soak import Soak
+from robotkube.registry.suites.loops.installed.changing import SettingsChange
+from robotkube.registry.suites.loops.installed.soak import Soak
 from robotkube.registry.suites.ports.suites import Object, PodEnd, PodRun, Subject
 from robotkube.testing.suites import ENTRY, MemoryTestNamespace, deployment, make_subject
 
 RENDER = Jinja2Templates().render
+CHANGE = SettingsChange("observer@sha256:1", RENDER, lambda: "secret")
 ORDERLY = PodEnd("greeter-1", 1.0, 3.0, {"main": 0})
 
 
 def judge(test_namespace: MemoryTestNamespace, subject: Subject | None = None) -> dict[str, Check]:
-    suite = InstallSuite(RENDER, lambda: 7, Soak("observer@sha256:1", RENDER, lambda: "secret", 0))
+    suite = InstallSuite(RENDER, lambda: 7, Soak("observer@sha256:1", RENDER, lambda: "secret", 0), CHANGE)
     return {check.name: check for check in suite.run(subject or make_subject(), test_namespace)}
 
 
@@ -178,6 +180,6 @@ def test_an_upgrade_that_the_api_server_refuses() -> None:
 
 def test_it_needs_a_test_namespace() -> None:
     with pytest.raises(InputError, match="needs a test namespace"):
-        InstallSuite(RENDER, lambda: 7, Soak("observer@sha256:1", RENDER, lambda: "secret", 0)).run(
+        InstallSuite(RENDER, lambda: 7, Soak("observer@sha256:1", RENDER, lambda: "secret", 0), CHANGE).run(
             make_subject(), None
         )

@@ -13,6 +13,8 @@ import yaml
 
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.registry.evidence.core.statements import Artefact, Check
+from robotkube.registry.suites.loops.installation import filled_sets, install
+from robotkube.registry.suites.loops.installed.changing import SettingsChange
 from robotkube.registry.suites.loops.interface import InterfaceSuite
 from robotkube.registry.suites.loops.interface_observer import ObserverTimeouts
 from robotkube.registry.suites.ports.suites import Subject
@@ -39,13 +41,16 @@ def objects(values: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
     return deployment(name, command, {"config.yaml": yaml.safe_dump(settings)}, "database-account")
 
 
-def checks_of(entry: Mapping[str, Any], namespace: LocalTestNamespace, bounds: ObserverTimeouts = WHOLE) -> list[Check]:
+def subject_of(entry: Mapping[str, Any]) -> Subject:
     artefact = Artefact("event-detector", "0.2.2", "sha256:" + "0" * 64, "linux/amd64")
     files = {"values.yaml": (CHART / "values.yaml").read_bytes()}
-    subject = Subject(artefact, entry, files, b"", {"ros": "ros@sha256:0"}, objects)
+    return Subject(artefact, entry, files, b"", {"ros": "ros@sha256:0"}, objects)
+
+
+def checks_of(entry: Mapping[str, Any], namespace: LocalTestNamespace, bounds: ObserverTimeouts = WHOLE) -> list[Check]:
     render = Jinja2Templates().render
     suite = InterfaceSuite("observer", render, time.time_ns, lambda: secrets.token_hex(8), bounds)
-    return list(suite.run(subject, namespace))
+    return list(suite.run(subject_of(entry), namespace))
 
 
 def entry() -> dict[str, Any]:
@@ -59,6 +64,17 @@ def test_every_watched_topic_is_recorded(namespace: LocalTestNamespace) -> None:
     assert "set named: ros in /vehicles/suite_a/pointcloud leads to an output" in names
     assert "set patterns: ros in /vehicles/{agent}/pose leads to an output" in names
     assert "set patterns: database out segments_index" in names
+
+
+@pytest.mark.thorough
+def test_changed_settings_are_seen_at_work(namespace: LocalTestNamespace) -> None:
+    """From named topics to patterns: the topic that fits none of them is closed."""
+    tested, render = subject_of(entry()), Jinja2Templates().render
+    sets = filled_sets(tested.entry, namespace.agent, time.time_ns(), render)
+    installed = install(tested, namespace, sets[0])
+    change = SettingsChange("observer", render, lambda: secrets.token_hex(8))
+    [check], _ = change.checks(tested, namespace, installed, sets)
+    assert check.passed, check.found
 
 
 @pytest.mark.thorough

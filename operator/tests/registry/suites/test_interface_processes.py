@@ -20,16 +20,17 @@ import pytest
 import yaml
 
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
-from robotkube.registry.catalogue.adapters.skeletons import new_application
+from robotkube.registry.catalogue.adapters.skeletons import new_application, new_chain
 from robotkube.registry.catalogue.core.chart_versions import read_chart_version
 from robotkube.registry.catalogue.core.expected_topics import ExpectedTopic
 from robotkube.registry.charts.core.values_schemas import overlay
 from robotkube.registry.evidence.core.statements import Artefact, Check
 from robotkube.registry.suites.core.interface_observations import read_observation
 from robotkube.registry.suites.loops.installation import filled_sets, install
+from robotkube.registry.suites.loops.installed.changing import SettingsChange
+from robotkube.registry.suites.loops.installed.soak import Soak
 from robotkube.registry.suites.loops.interface import InterfaceSuite
 from robotkube.registry.suites.loops.interface_observer import InterfaceObserver, ObserverPorts, ObserverTimeouts
-from robotkube.registry.suites.loops.soak import Soak
 from robotkube.registry.suites.ports.suites import Subject
 from tests.stages.paths import REPOSITORY
 from tests.stages.registry.local_namespace import SOURCE, LocalTestNamespace, deployment
@@ -38,7 +39,9 @@ from tests.stages.ros.ros_domains import domain as ros_domain
 
 pytestmark = pytest.mark.processes
 
+MESSENGER = REPOSITORY / "operator" / "tests" / "stages" / "ros" / "text_messenger.py"
 HEALTH_PORT = '"", 8081'
+FOLLOWING = "        settings.apply_changes()\n"
 
 Render = Callable[[Mapping[str, Any], str], list[dict[str, Any]]]
 
@@ -61,7 +64,7 @@ def suite(bounds: ObserverTimeouts = WHOLE) -> InterfaceSuite:
 def subject(chart: Path, entry: Mapping[str, Any], render: Render) -> Subject:
     artefact = Artefact(chart.name, "0.1.2", "sha256:" + "0" * 64, "linux/amd64")
     values = (chart / "values.yaml").read_bytes()
-    return Subject(artefact, entry, {"values.yaml": values}, b"", {"ros": "ros@sha256:0"}, render)
+    return Subject(artefact, entry, {"values.yaml": values}, b"", {chart.name: f"{chart.name}@sha256:0"}, render)
 
 
 def bridge_objects(values: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
@@ -75,11 +78,13 @@ def relay(chart: Path) -> Render:
     defaults = yaml.safe_load((chart / "values.yaml").read_text())
     node = (chart / "files" / "node.py").read_text()
     assert HEALTH_PORT in node
+    answers = (chart / "files" / "answers.py").read_text()
     node = "import os\n" + node.replace(HEALTH_PORT, '"", int(os.environ["ROBOTKUBE_HEALTH_PORT"])')
 
     def objects(values: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
         settings = yaml.safe_dump(overlay(defaults, values)["relay"])
-        return deployment(name, ["python3", "/etc/robotkube/node.py"], {"config.yaml": settings, "node.py": node})
+        files = {"config.yaml": settings, "node.py": node, "answers.py": answers}
+        return deployment(name, ["python3", "/etc/robotkube/node.py"], files)
 
     return objects
 
@@ -186,13 +191,33 @@ def test_what_registry_new_writes_passes(namespace: LocalTestNamespace, folder: 
     assert len(checks) > 8
 
 
-DYING = """
-    heard = []
-    def repeat(message):
-        publisher.publish(message)
-        heard.append(message)
-        len(heard) < 20 or os._exit(3)
-    ready.set"""
+def test_a_text_goes_through_all_services_that_registry_new_writes(namespace: LocalTestNamespace, folder: Path) -> None:
+    services = ["order", "plan", "drive"]
+    new_chain("delivery", services, "delivery/relay", folder / "charts", folder / "registry")
+    spec = yaml.safe_load((folder / "registry/applications/delivery.yaml").read_text())["spec"]
+    parameters = {name: schema["default"] for name, schema in spec["parameters"]["properties"].items()}
+    render = Jinja2Templates().render
+    for service in spec["services"]:
+        topics = service["values"]["relay"]
+        values = {"relay": {key: render(text, {"parameters": parameters}) for key, text in topics.items()}}
+        name = service["release"]
+        namespace.apply(relay(folder / "charts" / name)(values, name))
+        assert namespace.wait_ready("Deployment", name, 30.0) == ""
+    command = ["python3", str(MESSENGER), parameters["input"], parameters["output"], "hello"]
+    run = namespace.run_pod("messenger", "ros", command, {}, 60.0)
+    assert (run.exit_code, run.log) == (0, "heard: ['hello']\n")
+
+
+DYING = """heard = []
+
+
+def repeat(publisher, message):
+    publisher.publish(message)
+    heard.append(message)
+    len(heard) < 20 or os._exit(3)
+
+
+class Relay"""
 
 
 def test_a_chart_that_ends_after_some_messages_passes_the_interface_suite_and_not_the_soak(
@@ -203,8 +228,8 @@ def test_a_chart_that_ends_after_some_messages_passes_the_interface_suite_and_no
     node = chart / "files" / "node.py"
     text = (
         node.read_text()
-        .replace("publisher.publish, QOS", "lambda message: repeat(message), QOS")
-        .replace("    ready.set", DYING)
+        .replace("answering(publisher), QOS", "lambda message: repeat(publisher, message), QOS")
+        .replace("class Relay", DYING)
     )
     node.write_text(text.replace("import signal", "import os\nimport signal", 1))
     entry = yaml.safe_load((folder / "registry/charts/relay/0.1.0.yaml").read_text())
@@ -216,6 +241,67 @@ def test_a_chart_that_ends_after_some_messages_passes_the_interface_suite_and_no
     [check] = Soak("observer", render, lambda: secrets.token_hex(8), 6).checks(tested, namespace, first)
     assert (check.name, check.passed) == ("keeps-running", False)
     assert "pod relay: container relay ended with 3 (Error)" in check.found
+
+
+@pytest.mark.parametrize(
+    ("follows", "words"),
+    [
+        (True, "it opened the topics of second, and its pod stayed"),
+        pytest.param(
+            *(False, "still open, as with the settings before: ros in /first/in, ros out /first/out"),
+            marks=pytest.mark.thorough,
+        ),
+    ],
+)
+def test_changed_settings_are_seen_at_work(
+    namespace: LocalTestNamespace, folder: Path, follows: bool, words: str
+) -> None:
+    new_application("relay", "relay/text", folder / "charts", folder / "registry")
+    chart = folder / "charts" / "relay"
+    node = chart / "files" / "node.py"
+    text = node.read_text()
+    for line in () if follows else (FOLLOWING, "    Health.complaint = staticmethod(lambda: settings.complaint)\n"):
+        assert line in text
+        text = text.replace(line, "")
+    node.write_text(text)
+    entry = yaml.safe_load((folder / "registry/charts/relay/0.1.0.yaml").read_text())
+    check = changed_settings(subject(chart, entry, relay(chart)), namespace)
+    assert (check.passed, words in check.found) == (follows, True), check.found
+
+
+def changed_settings(tested: Subject, namespace: LocalTestNamespace) -> Check:
+    """The check of a chart that is installed with its first set, and then given other settings."""
+    render = Jinja2Templates().render
+    sets = filled_sets(tested.entry, namespace.agent, time.time_ns(), render)
+    installed = install(tested, namespace, sets[0])
+    assert installed.ready, installed.problem
+    change = SettingsChange("observer", render, lambda: secrets.token_hex(8))
+    [check], _ = change.checks(tested, namespace, installed, sets)
+    return check
+
+
+def restarting(render: Render) -> Render:
+    """The objects with the settings in the pod template, as the library chart has their hash there."""
+
+    def objects(values: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
+        config_map, made = render(values, name)
+        made["spec"]["template"]["metadata"] = {"annotations": {"robotkube.io/settings": str(config_map["data"])}}
+        return [config_map, made]
+
+    return objects
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("name", "version", "render"),
+    [("mqtt-bridge", "0.2.2", bridge_objects), ("bag-player", "0.1.2", restarting(player_objects))],
+)
+def test_packaged_charts_take_changed_settings(
+    namespace: LocalTestNamespace, name: str, version: str, render: Render
+) -> None:
+    entry = yaml.safe_load((REPOSITORY / "registry" / "charts" / name / f"{version}.yaml").read_text())
+    check = changed_settings(subject(REPOSITORY / "charts" / "apps" / name, entry, render), namespace)
+    assert check.passed, check.found
 
 
 @pytest.mark.parametrize("name", [*IN_EVERY_RUN, *(pytest.param(name, marks=pytest.mark.thorough) for name in ALSO)])

@@ -2,11 +2,14 @@
 
 import base64
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.certificates.adapters.issuing import describe, throw_away
+from robotkube.foundation.certificates.core.lives import Pair
 from robotkube.registry.suites.core.namespace_contents import HELPER, OBJECTS_MAX, password_line
 from robotkube.registry.suites.loops.cluster_namespace import ClusterTestNamespace, SuiteNamespaceSettings
 from robotkube.registry.suites.loops.namespace_cleanup import ClusterNamespaceCleaner
@@ -144,23 +147,32 @@ def test_a_pod_that_stays_when_its_deployment_is_gone() -> None:
     assert test_namespace.leftovers() == ["Pod greeter-1"]
 
 
-def never_ready(pod: Object) -> Mapping[str, Any]:
+def ending(restarts: int) -> Mapping[str, Any]:
     waiting = {"reason": "CrashLoopBackOff", "message": "back-off 10s restarting failed container"}
     last = {"terminated": {"exitCode": 1, "reason": "Error"}}
-    status = {"name": "main", "ready": False, "restartCount": 2, "state": {"waiting": waiting}, "lastState": last}
-    return {"phase": "Running", "containerStatuses": [status]}
+    status = {"name": "main", "ready": False, "restartCount": restarts, "state": {"waiting": waiting}}
+    return {"phase": "Running", "containerStatuses": [{**status, "lastState": last}]}
 
 
-def test_what_is_said_of_a_pod_that_never_gets_ready() -> None:
-    event = {"type": "Warning", "reason": "BackOff", "message": "Back-off restarting"}
-    api = MemoryNamespaceObjects(start=never_ready, said=[event, {"type": "Normal", "reason": "Pulled"}])
-    api.texts["greeter-1"] = "starting\nno greeting given\n"
-    test_namespace, clock = make_namespace(api)
+def test_a_container_that_ended_once_may_have_come_too_early() -> None:
+    test_namespace, clock = make_namespace(MemoryNamespaceObjects(start=lambda pod: ending(0)))
     test_namespace.apply([deployment()])
     words = test_namespace.wait_ready("Deployment", "greeter", 5)
     assert clock.now == pytest.approx(5, abs=1)
+    assert words.startswith("Deployment greeter was not ready after 5 s\n")
+
+
+def test_what_is_said_of_a_pod_that_ends_again_and_again() -> None:
+    event = {"type": "Warning", "reason": "BackOff", "message": "Back-off restarting"}
+    said = [event, {"type": "Normal", "reason": "Pulled"}]
+    api = MemoryNamespaceObjects(start=lambda pod: ending(2), said=said)
+    api.texts["greeter-1"] = "starting\nno greeting given\n"
+    test_namespace, clock = make_namespace(api)
+    test_namespace.apply([deployment()])
+    words = test_namespace.wait_ready("Deployment", "greeter", 90)
+    assert clock.now < 2
     assert words.splitlines() == [
-        "Deployment greeter was not ready after 5 s",
+        "Deployment greeter cannot get ready",
         "pod greeter-1: container main waits: CrashLoopBackOff: back-off 10s restarting failed container",
         "pod greeter-1: container main was restarted 2 times; it ended with 1 (Error)",
         "event BackOff: Back-off restarting",
@@ -242,7 +254,7 @@ def test_files_beyond_the_bound_are_refused() -> None:
 
 
 def test_the_time_of_the_whole_run_ends_every_wait() -> None:
-    test_namespace, clock = make_namespace(MemoryNamespaceObjects(start=never_ready), seconds=4)
+    test_namespace, clock = make_namespace(MemoryNamespaceObjects(start=lambda pod: ending(0)), seconds=4)
     test_namespace.apply([deployment()])
     with pytest.raises(UnavailableError, match="time of the whole run is over"):
         test_namespace.wait_ready("Deployment", "greeter", 60)
@@ -259,7 +271,7 @@ def test_a_broker_with_an_account_of_its_own() -> None:
     assert test_namespace.start_broker() == account
     assert (account.host, account.port) == ("10.0.0.9", 1883)
     assert api.secrets["broker-account"] == {
-        "username": "suite", "password": account.password, "host": "10.0.0.9", "port": "1883",
+        "username": "suite", "password": account.password, "host": "10.0.0.9", "port": "1883", "tls": "off",
     }  # fmt: skip
     line = api.secrets["suite-broker"]["passwords"]
     assert line.startswith("suite:$7$101$")
@@ -271,6 +283,28 @@ def test_a_broker_with_an_account_of_its_own() -> None:
     api.texts["suite-broker"] = "\nReceived PUBLISH" * 100
     with pytest.raises(InputError, match="wrote more than 4 MiB about what the chart does"):
         test_namespace.broker_log()
+
+
+def test_a_broker_proves_who_it_is_where_the_platforms_does() -> None:
+    """By a name, since there is no name service: the account has the address of the pod."""
+    api = MemoryNamespaceObjects()
+    test_namespace, _ = make_namespace(api, settings=replace(SETTINGS, certify=throw_away))
+    assert test_namespace.start_broker().port == 8883
+    account, files = api.secrets["broker-account"], api.secrets["suite-broker"]
+    assert (account["tls"], account["server_name"], account["host"]) == ("required", "suite-broker", "10.0.0.9")
+    assert "listener 8883\ncertfile /etc/mosquitto/tls.crt\nkeyfile /etc/mosquitto/tls.key\n" in files["mosquitto.conf"]
+    assert "1883" not in files["mosquitto.conf"].replace("8883", "")
+    trusted = api.objects["ConfigMap", "robotkube-ca"]
+    assert trusted["metadata"]["labels"] == {"robotkube.io/suite": HELPER}
+    shown = Pair(files["tls.crt"], files["tls.key"])
+    assert describe(shown, Pair(trusted["data"]["ca.crt"], files["tls.key"])).signed
+    assert "PRIVATE" not in trusted["data"]["ca.crt"]
+
+
+def test_a_chart_does_not_say_who_signs_certificates() -> None:
+    item = {**CONFIG_MAP, "metadata": {"name": "robotkube-ca"}}
+    with pytest.raises(InputError, match="this name is the platform's"):
+        make_namespace(MemoryNamespaceObjects())[0].apply([item])
 
 
 def test_the_password_line_is_mosquittos() -> None:
@@ -305,7 +339,7 @@ def test_no_database_where_the_platform_has_none() -> None:
 
 def test_a_helper_that_does_not_start_makes_the_run_unfinished() -> None:
     with pytest.raises(UnavailableError, match="Pod suite-broker was not ready"):
-        make_namespace(MemoryNamespaceObjects(start=never_ready), seconds=500)[0].start_broker()
+        make_namespace(MemoryNamespaceObjects(start=lambda pod: ending(0)), seconds=500)[0].start_broker()
 
 
 def make_keeper(api: MemoryNamespaceObjects) -> tuple[ClusterNamespaceCleaner, Clock]:

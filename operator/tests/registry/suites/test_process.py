@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import functools
+import json
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import yaml
 
+from robotkube.cli import main as cli
 from robotkube.foundation.runtime.settings_file import Credentials, Listen
 from robotkube.registry.charts.adapters.chart_folders import pack
 from robotkube.registry.charts.adapters.oci import OciRegistry
@@ -21,12 +24,14 @@ from robotkube.registry.suites.settings import RunnerConfiguration
 from tests.stages.forge.installation import Installation
 from tests.stages.paths import REPOSITORY
 from tests.stages.programs import program
+from tests.stages.registry import chart_images
+from tests.stages.registry.publications import write_sources
 
 pytestmark = pytest.mark.toolchain
 
 CHART = "mqtt-bridge"
 ENTRY = yaml.safe_load((REPOSITORY / "registry" / "charts" / CHART / "0.2.2.yaml").read_text(encoding="utf-8"))
-IMAGES = {"ros": "forge.robotkube.svc.cluster.local:3000/robotkube/ros@sha256:" + "0" * 64}
+IMAGES = chart_images.all_as("forge.robotkube.svc.cluster.local:3000/robotkube/image@sha256:" + "0" * 64)
 RULE = SuiteRule("static", StaticSuite.version, 60)
 
 
@@ -77,3 +82,28 @@ def test_charts_that_are_not_what_was_asked_for(configuration: RunnerConfigurati
         result = run(request=wrong)
         assert result.outcome == "unfinished"
         assert words in said(result)
+
+
+def test_what_is_tried_before_is_judged_by_the_same_checks(
+    configuration: RunnerConfiguration, gate_registry: OciRegistry, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`registry try` and the suite-runner on one chart, with a mistake: digest, checks and words are the same."""
+    write_sources(tmp_path, "delivery", "--services", "plan")
+    chart, entry = tmp_path / "charts" / "apps" / "delivery-plan", tmp_path / "registry" / "charts" / "delivery-plan"
+    values = chart / "values.yaml"
+    values.write_text(values.read_text().replace("limits: {memory: 256Mi}", "limits: {}"))
+    images = tmp_path / "images.yaml"
+    images.write_text(yaml.safe_dump(IMAGES))
+    capsys.readouterr()
+    assert cli.main(["registry", "try", str(chart), "--images", str(images), "-o", "json"]) == 1
+    out = capsys.readouterr()
+    assert "failed: static of delivery-plan" in out.err
+    tried = json.loads(out.out)["suites"][0]
+    document = yaml.safe_load((entry / "0.1.0.yaml").read_text())
+    digest = gate_registry.push_chart("staging", pack(chart, IMAGES, document["spec"]), "tried")
+    artefact = Artefact("delivery-plan", "0.1.0", digest, "linux/amd64")
+    request = SuiteRequest(artefact, "staging/delivery-plan", "sha256:" + "0" * 64, RULE, document)
+    result = run_process.run(configuration, request, "")
+    assert (tried["suite"], tried["outcome"], tried["checks"]) == ("static", result.outcome, len(result.checks))
+    assert tried["failures"] == [{"name": c.name, "found": c.found, "fix": c.fix} for c in result.failed]
+    assert [failure["name"] for failure in tried["failures"]] == ["resources"]

@@ -26,7 +26,10 @@ IMAGE = "forge.example:3000/team/suite@sha256:" + "0" * 64
 
 def test_a_request_there_and_back() -> None:
     old = Replaced(Artefact("greeter", "0.1.0", DIGEST, "linux/amd64"), "verified/greeter", ENTRY)
-    request = replace(make_request(image=IMAGE, command=("look", "-v"), installs=True, soak_seconds=10), replaced=old)
+    request = replace(
+        make_request(image=IMAGE, command=("look", "-v"), installs=True, soak_seconds=10, memory_growth_percent=7),
+        replaced=old,
+    )
     assert read_request(json.loads(json.dumps(request_document(request)))) == request
     assert read_request(request_document(make_request())) == make_request()
 

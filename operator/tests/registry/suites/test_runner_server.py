@@ -24,6 +24,7 @@ from robotkube.registry.suites.loops.queue import SuiteQueue
 from robotkube.registry.suites.loops.static import StaticSuite
 from robotkube.registry.suites.settings import FORMER_KEYS, read_configuration
 from robotkube.testing.suites import MemoryExecutor, make_request, passed
+from tests.stages import http_calls
 from tests.stages.random_json import mistaken
 from tests.stages.waiting import until
 
@@ -49,7 +50,7 @@ class Runner:
         return SuiteProgress("finished", passed(request))
 
     def put(self, path: str, content: bytes, token: str = TOKEN) -> httpx.Response:
-        return httpx.put(self.url + path, content=content, headers={"Authorization": f"Bearer {token}"})
+        return http_calls.put(self.url + path, content=content, headers={"Authorization": f"Bearer {token}"})
 
 
 @pytest.fixture
@@ -128,7 +129,7 @@ def test_without_the_token_nothing_is_read(runner: Runner, token: str) -> None:
 def test_a_server_without_put_takes_none() -> None:
     server = WebServer("127.0.0.1", 0, list, str)
     server.start()
-    assert httpx.put(f"http://127.0.0.1:{server.port}/runs/x", content=b"").status_code == 404
+    assert http_calls.put(f"http://127.0.0.1:{server.port}/runs/x", content=b"").status_code == 404
     server.stop()
 
 
@@ -195,9 +196,9 @@ def test_the_process_runs_suites_and_ends_on_sigterm(process: tuple[subprocess.P
     assert "without a pool" in client.run(make_request("install")).reason
     client.disconnect()
     for place in (url, health):
-        assert httpx.get(f"{place}/livez").status_code == 200
-        assert httpx.get(f"{place}/readyz").status_code == 200
-        assert '{outcome="unfinished",suite="static"} 2' in httpx.get(f"{place}/metrics").text
+        assert http_calls.get(f"{place}/livez").status_code == 200
+        assert http_calls.get(f"{place}/readyz").status_code == 200
+        assert '{outcome="unfinished",suite="static"} 2' in http_calls.get(f"{place}/metrics").text
     running.terminate()
     assert running.wait(10) == 0
 

@@ -9,15 +9,20 @@ from typing import Any
 
 import pytest
 
+from robotkube.errors import InputError
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.registry.evidence.core.statements import Check
+from robotkube.registry.suites.core.memory_growth import MemorySample
 from robotkube.registry.suites.core.soaked_pods import unsteady
 from robotkube.registry.suites.loops.install import InstallSuite
-from robotkube.registry.suites.loops.soak import Soak
+from robotkube.registry.suites.loops.installed.changing import SettingsChange
+from robotkube.registry.suites.loops.installed.memory_sampling import MemoryWatch
+from robotkube.registry.suites.loops.installed.soak import Soak
 from robotkube.registry.suites.ports.suites import PodRun
 from robotkube.testing.suites import ENTRY, MemoryTestNamespace, make_subject
 
 RENDER = Jinja2Templates().render
+CHANGE = SettingsChange("observer@sha256:1", RENDER, lambda: "secret")
 STRING = {"medium": "ros", "type": "std_msgs/msg/String", "qos": {"reliability": "reliable", "durability": "volatile"}}
 INTERFACES = [
     {"name": "in", "direction": "in", "topic": "/{{ values.word }}", **STRING},
@@ -88,10 +93,36 @@ def test_what_a_container_did_before_does_not_count() -> None:
     assert unsteady([started], [started]) == []
 
 
+class NoMemory:
+    """A cluster that does not let memory be read."""
+
+    def read(self, pods: Sequence[Mapping[str, Any]]) -> Sequence[MemorySample]:
+        raise InputError("no right to read it")
+
+
+class Growing:
+    """Everything that a container of 10 to 30 MiB did, at once."""
+
+    def read(self, pods: Sequence[Mapping[str, Any]]) -> Sequence[MemorySample]:
+        sizes = {16.0: 10, 26.0: 20, 46.0: 30}
+        return [MemorySample("greeter-1", "main", seconds, size << 20) for seconds, size in sizes.items()]
+
+
+def growing_watch() -> MemoryWatch:
+    return MemoryWatch(Growing(), 10, lambda: 0.0)
+
+
+UNMEASURED = MemoryWatch(NoMemory(), 10, lambda: 0.0)
+
+
 def soaked(
-    test_namespace: MemoryTestNamespace, seconds: int = 60, entry: Mapping[str, Any] = SOAKED
+    test_namespace: MemoryTestNamespace,
+    seconds: int = 60,
+    entry: Mapping[str, Any] = SOAKED,
+    watch: MemoryWatch | None = None,
 ) -> dict[str, Check]:
-    suite = InstallSuite(RENDER, lambda: 7, Soak("observer@sha256:1", RENDER, lambda: "secret", seconds))
+    soak = Soak("observer@sha256:1", RENDER, lambda: "secret", seconds, watch or UNMEASURED)
+    suite = InstallSuite(RENDER, lambda: 7, soak, CHANGE)
     return {check.name: check for check in suite.run(make_subject(entry=entry), test_namespace)}
 
 
@@ -99,11 +130,27 @@ def test_a_chart_that_keeps_running() -> None:
     test_namespace = MemoryTestNamespace(runs=[SENT], pods_seen=[[pod()], [pod()]])
     checks = soaked(test_namespace)
     assert list(checks)[:3] == ["installs", "becomes-ready", "keeps-running"]
-    assert checks["keeps-running"] == Check("keeps-running", True, "60 s with traffic on 1 inputs")
+    words = "60 s with traffic on 1 inputs; memory: not measured: no right to read it"
+    assert checks["keeps-running"] == Check("keeps-running", True, words)
     _, call = next(call for call in test_namespace.calls if call[0] == "run_pod")
     config = json.loads(call["files"]["config.json"])
     assert (call["image"], config["load_seconds"], config["node"]) == ("observer@sha256:1", 60.0, "suite_secret")
     assert [topic["topic"] for topic in config["topics"]] == ["/hello", "/out"]
+
+
+def test_a_chart_that_grows_under_traffic_is_refused() -> None:
+    limited = pod()
+    limited["spec"] = {"containers": [{"name": "main", "resources": {"limits": {"memory": "100Mi"}}}]}
+    checks = soaked(MemoryTestNamespace(runs=[SENT], pods_seen=[[limited], [limited]]), watch=growing_watch())
+    words = "pod greeter-1: container main grew from 10 to 30 MiB under traffic, by 20 % of its memory limit"
+    assert not checks["keeps-running"].passed
+    assert words in checks["keeps-running"].found
+
+
+def test_ten_seconds_are_too_short_to_claim_anything() -> None:
+    found = soaked(MemoryTestNamespace(runs=[SENT], pods_seen=[[pod()], [pod()]]), 10, watch=growing_watch())
+    words = "memory: not measured: 10 s are too short to claim anything, at least 45 are needed"
+    assert found["keeps-running"].found == f"10 s with traffic on 1 inputs; {words}"
 
 
 def test_a_chart_that_dies_under_traffic_is_stopped_and_judged() -> None:

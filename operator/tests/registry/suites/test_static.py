@@ -270,6 +270,19 @@ def test_requests_of_all_containers_count() -> None:
     assert len(list(static_checks.resource_problems(rendering(of_container(resources={})), entry))) == 2
 
 
+def test_containers_whose_probes_measure_an_update_are_asked() -> None:
+    def problems(*names: str, change: Change = lambda *_: None) -> list[str]:
+        entry = {"spec": {"success": {"probesOf": list(names), "seconds": 60}}}
+        return list(static_checks.unanswered_probes([rendering(change)], entry))
+
+    assert problems("app") == []
+    assert problems() == list(static_checks.unanswered_probes([rendering()], {"spec": {}})) == []
+    here = "spec.success.probesOf: no container second with a readiness probe (those with one: app)"
+    assert problems("app", "second") == [here]
+    assert problems("second", change=second_container(readinessProbe=None)) == [here]
+    assert problems("second", change=second_container()) == []
+
+
 @pytest.mark.parametrize(
     ("text", "number"),
     [

@@ -54,10 +54,16 @@ def test_orders() -> None:
     assert playback.read_run(None, "ConfigMap a/simulation") is None
     assert playback.read_run({}, "ConfigMap a/simulation") is None
     assert playback.read_run({"run": "r1", "start": "12"}, "ConfigMap a/simulation") == playback.PlaybackRun("r1", 12)
+    driven = {"run": "r1", "start": "12", "laps": "20", "lap": "95000000000"}
+    assert playback.read_run(driven, "ConfigMap a/simulation") == playback.PlaybackRun("r1", 12, 20, 95_000_000_000)
     with pytest.raises(DocumentError, match="start: 'soon' must be a time in ns"):
         playback.read_run({"run": "r1", "start": "soon"}, "ConfigMap a/simulation")
     with pytest.raises(DocumentError, match=r"ConfigMap a/simulation: run: '../x'"):
         playback.read_run({"run": "../x", "start": "1"}, "ConfigMap a/simulation")
+    with pytest.raises(DocumentError, match=r"laps: '0' must be how often"):
+        playback.read_run({"run": "r1", "start": "1", "laps": "0"}, "ConfigMap a/simulation")
+    with pytest.raises(DocumentError, match=r"lap: '5' must be at least 1000000000 ns"):
+        playback.read_run({"run": "r1", "start": "1", "laps": "2", "lap": "5"}, "ConfigMap a/simulation")
 
 
 def test_settings_name_every_problem() -> None:

@@ -119,6 +119,39 @@ def test_a_new_run_starts_over(tmp_path: Path) -> None:
     assert world.ledger("two", "__p")[-1] == {"end": True, "count": 500}
 
 
+def test_laps_follow_each_other_on_the_grid_and_leave_no_ledger(tmp_path: Path) -> None:
+    world = PlayerStage(tmp_path, START - 10**9, count=50)
+    lap = 2 * 10**9
+    world.player.order(PlaybackRun("round", START, 3, lap))
+    world.at(START + 9 * 10**9, world.end)
+    world.player.serve()
+    stamps = [header_stamp(data) for data in world.network.endpoint("/p").published]
+    assert stamps == [START + n * lap + k * 10_000_000 for n in range(3) for k in range(50)]
+    assert world.player.counts.runs == 3
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_player_that_comes_back_joins_the_lap_that_is_due(tmp_path: Path) -> None:
+    """All players drive on one clock: who was away misses what the others drove meanwhile."""
+    lap = 10 * 10**9
+    world = PlayerStage(tmp_path, START + lap + 3 * 10**9)
+    world.player.order(PlaybackRun("round", START, 2, lap))
+    world.at(START + 3 * lap, world.end)
+    world.player.serve()
+    stamps = [header_stamp(data) for data in world.network.endpoint("/p").published]
+    assert stamps == [START + lap + k * 10_000_000 for k in range(200, 500)], "a second of what is late is made up for"
+    assert len(world.network.endpoint("/t").published) == 1, "who subscribes late still gets the latched one"
+
+
+def test_laps_end_when_the_order_is_taken_back(tmp_path: Path) -> None:
+    world = PlayerStage(tmp_path, START)
+    world.player.order(PlaybackRun("round", START, 9, 10 * 10**9))
+    world.at(START + 11 * 10**9, lambda: world.player.order(None))
+    world.at(START + 50 * 10**9, world.end)
+    world.player.serve()
+    assert header_stamp(world.network.endpoint("/p").published[-1]) <= START + 12 * 10**9
+
+
 def test_after_a_restart_it_goes_on_where_its_ledger_ends(tmp_path: Path) -> None:
     first = PlayerStage(tmp_path, START)
     first.player.order(PlaybackRun("one", START))

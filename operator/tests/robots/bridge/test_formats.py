@@ -11,7 +11,8 @@ import pytest
 
 from benchmarks import pods
 from robotkube.robots.bridge.core import mqtt_client_format as ika
-from robotkube.robots.mqtt.adapters.paho_channel import BrokerAccount, PahoChannel
+from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
+from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel
 from robotkube.robots.mqtt.core.batches import decode_batch, encode_batch
 from robotkube.robots.mqtt.core.message_properties import type_properties, types_topic
 from robotkube.robots.mqtt.core.properties import read_properties

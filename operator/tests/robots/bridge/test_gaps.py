@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from benchmarks.bags import message
 from robotkube.robots.bridge.core.losses import OTHERS, TOPICS_MAX, Losses
-from robotkube.robots.bridge.core.outbox import LARGE, MANY, OLD, REFUSED, Outbox, OutboxBounds, OutgoingBatch
+from robotkube.robots.bridge.core.outbox import LARGE, MANY, OLD, REFUSED, Outbox, OutboxBounds
+from robotkube.robots.bridge.core.waiting_batches import OutgoingBatch
 from robotkube.robots.mqtt.core.batches import encode_batch
 from robotkube.robots.mqtt.core.message_properties import (
     GAPS_PER_MESSAGE_MAX,

@@ -8,8 +8,8 @@ from robotkube.robots.bridge.core.outbox import (
     SETTLING_SECONDS,
     Outbox,
     OutboxBounds,
-    OutgoingBatch,
 )
+from robotkube.robots.bridge.core.waiting_batches import OutgoingBatch
 
 BOUNDS = OutboxBounds(seconds_max=60, batches_max=5, bytes_max=1000, inflight_max=2)
 

@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks.bags import message
 from robotkube.robots.bridge.core import mqtt_client_format as ika
-from robotkube.robots.mqtt.adapters import paho_channel
+from robotkube.robots.mqtt.adapters.paho_client import MqttClient
 from robotkube.robots.mqtt.core.batches import MAGIC, encode_batch
 from robotkube.robots.mqtt.core.message_properties import GAPS_TOPIC, stamp_property, type_properties
 from robotkube.robots.mqtt.core.packets import MalformedPacketError, write_number
@@ -113,7 +113,7 @@ def test_any_bytes_of_a_broker(cases: int) -> None:
         got += 1
 
     for _ in range(cases):
-        client = paho_channel._Client("x", received, lambda mid, reason: None)
+        client = MqttClient("x", received, lambda mid, reason: None)
         content = random_.randbytes(random_.randrange(40))
         kinds = [random_.randrange(256), 0x30, 0x32, 0x40]
         packet = bytes((random_.choice(kinds),)) + write_number(len(content)) + content
@@ -127,7 +127,7 @@ def test_any_bytes_of_a_broker(cases: int) -> None:
 
 
 def test_a_packet_that_would_not_fit_into_memory_ends_the_connection() -> None:
-    client = paho_channel._Client("x", lambda *_: None, lambda *_: None)
+    client = MqttClient("x", lambda *_: None, lambda *_: None)
     client._buffer += b"\x30" + write_number(200_000_000)
     with pytest.raises(MalformedPacketError, match="a packet of 200000000 bytes"):
         client._handle_buffer()

@@ -15,7 +15,8 @@ from robotkube.foundation.runtime.loops.fencing import Fencing
 from robotkube.robots.bridge.core.settings import read_bridge_settings
 from robotkube.robots.bridge.loops.bridge import Bridge
 from robotkube.robots.bridge.loops.flows import SendingSession
-from robotkube.robots.mqtt.adapters.paho_channel import BrokerAccount, PahoChannel
+from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
+from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel
 from robotkube.robots.mqtt.core.batches import decode_batch
 from robotkube.robots.mqtt.ports import ChannelEvents
 from robotkube.testing.api_server import ApiServerInMemory
@@ -45,6 +46,8 @@ class Receiver:
     def acknowledged(self, token: int, heard: bool) -> None: ...
 
     def refused(self, topic: str, reason: str) -> None: ...
+
+    def granted(self, topic: str) -> None: ...
 
     def rejected(self, token: int, reason: str) -> None: ...
 

@@ -33,6 +33,13 @@ def test_defaults_are_those_of_a_pose() -> None:
     assert settings.channels == {"telemetry"}
 
 
+def test_each_kind_of_traffic_has_a_connection() -> None:
+    topics = [{**POSE, "name": f"/{kind}", "channel": kind, "deadline_seconds": 1} for kind in ("safety", "bulk")]
+    settings = read_bridge_settings({"agent": "vehicle-00", "out": topics}, "config.yaml")
+    assert settings.channels == {"safety", "telemetry", "bulk"}
+    assert {topic.deadline_seconds for topic in settings.outgoing.values()} == {1.0}
+
+
 def test_topics_of_the_task_gateway_have_names_of_their_own_per_agent() -> None:
     topics = {way: [{"name": name, "type": GATEWAY_TYPE}] for name, way in GATEWAY_TOPICS.items()}
     settings = read_bridge_settings({"agent": "vehicle-00", **topics}, "config.yaml")
@@ -52,6 +59,10 @@ TASKS = {"name": "/robotkube/tasks", "type": GATEWAY_TYPE}
         ({"out": [{**POSE, "speed": 1}]}, r"out\[0\].speed: unknown key"),
         ({"out": [{"name": POSE["name"]}]}, r"out\[0\].type: missing"),
         ({"out": [{**POSE, "channel": "fast"}]}, r"out\[0\].channel: 'fast'"),
+        ({"out": [{**POSE, "deadline_seconds": 0}]}, r"out\[0\].deadline_seconds: 0 must be .* from 0.05 to 10"),
+        ({"out": [{**POSE, "deadline_seconds": 10.5}]}, r"out\[0\].deadline_seconds: 10.5 must be a number of seconds"),
+        ({"out": [{**POSE, "deadline_seconds": True}]}, r"out\[0\].deadline_seconds: True"),
+        ({"out": [{**POSE, "deadline_seconds": "1"}]}, r"out\[0\].deadline_seconds: '1'"),
         ({"out": [{**POSE, "depth": 0}]}, r"out\[0\].depth: 0 must be a number of messages from 1"),
         ({"out": [{**POSE, "depth": True}]}, r"out\[0\].depth: True"),
         ({"out": [{**POSE, "name": "vehicles/pose"}]}, r"out\[0\].name: 'vehicles/pose' must match"),

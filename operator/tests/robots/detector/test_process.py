@@ -61,7 +61,7 @@ class HookHandler(BaseHTTPRequestHandler):
 @pytest.fixture
 def receiver() -> Iterator[Receiver]:
     receiver = Receiver()
-    thread = threading.Thread(target=receiver.serve_forever)
+    thread = threading.Thread(target=receiver.serve_forever, args=(0.02,))
     thread.start()
     yield receiver
     receiver.shutdown()
@@ -131,6 +131,9 @@ def test_live_poses_become_tasks_until_the_rule_changes(
     assert warning["regarding"]["name"] == "event-detector"
     assert warning["note"].startswith(expected)
     assert "robotkube_detector_settings_refused 1" in text("/metrics")
+    with pytest.raises(urllib.error.HTTPError, match="503"):
+        text("/readyz")
+    assert status["not_ready"].startswith(f"the newest settings are refused, the ones before are at work: {expected}")
 
     # vehicle-01 is near now; without the rule its task goes
     assert api.objects
@@ -140,6 +143,7 @@ def test_live_poses_become_tasks_until_the_rule_changes(
     until(lambda: page("/status")["topics"]["/vehicles/vehicle_00/pose"]["buffer"]["messages"] > before)
     status = page("/status")
     assert (status["settings"]["refused"], status["rules"]["names"]) == ("", [])
+    assert text("/readyz") == "ok\n"
     assert status["topics"]["/vehicles/vehicle_00/pose"]["buffer"]["cleared"] == 0
     detector.send_signal(signal.SIGTERM)
     assert detector.wait(8.0) == 0

@@ -130,6 +130,21 @@ def test_each_mistake_is_named(path: list[Any], value: Any, expected: str) -> No
     assert str(caught.value).startswith("config.yaml: ")
 
 
+def test_a_type_that_this_image_does_not_know_is_refused_in_ros_and_learned_at_the_broker() -> None:
+    def missing(name: str) -> str:
+        return "" if name.startswith(("geometry_msgs/", "sensor_msgs/")) else f"type {name}: is not here"
+
+    own: Any = document()
+    own["topics"].append({"name": "/a", "type": "rover_msgs/msg/Fix"})
+    own["topics"].append({"name": "/b", "type": "rover_msgs/msg/Fix", "source": "mqtt"})
+    context = SettingsContext(reactions=["whisper"], missing_type=missing)
+    with pytest.raises(DocumentError) as caught:
+        read_detector_settings(own, "config.yaml", context)
+    (problem,) = caught.value.problems
+    assert problem.startswith("topics[2].type: type rover_msgs/msg/Fix: is not here; take another type, an image that")
+    read_detector_settings(document(), "config.yaml", context)
+
+
 def test_all_mistakes_are_named_at_once() -> None:
     with pytest.raises(DocumentError) as caught:
         read_detector_settings({"name": "", "topics": [{"name": 1}], "extra": 0}, "config.yaml")

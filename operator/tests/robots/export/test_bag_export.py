@@ -221,7 +221,8 @@ def test_stamps_before_1970_are_counted_and_refused(messages: Sequence[Message],
 
 
 def given(*words: str) -> argparse.Namespace:
-    return cli.parser(cli.commands()).parse_args(["recording", "export", NAME, "out", *words])
+    whole = ["recording", "export", NAME, "out", *words]
+    return cli.grammar_of(whole).parse_args(whole)
 
 
 def test_times_are_given_in_three_ways() -> None:

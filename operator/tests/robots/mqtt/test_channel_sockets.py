@@ -12,8 +12,9 @@ from unittest.mock import Mock
 
 import pytest
 
-from robotkube.robots.mqtt.adapters import paho_channel
-from robotkube.robots.mqtt.adapters.paho_channel import BrokerAccount, PahoChannel
+from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
+from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel
+from robotkube.robots.mqtt.adapters.tcp_sockets import SocketBound
 from tests.stages.waiting import until
 
 SECONDS_MAX = 10.0
@@ -158,11 +159,11 @@ def test_the_socket_is_closed_although_the_server_reads_nothing(server: Server) 
 def test_a_socket_that_cannot_be_prepared_is_closed(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
     made: list[socket.socket] = []
 
-    def refuse(client: Any, userdata: Any, connection: socket.socket) -> None:
+    def refuse(bound: SocketBound, connection: socket.socket) -> None:
         made.append(connection)
         raise OSError("the peer is gone")
 
-    monkeypatch.setattr(paho_channel, "_prepare_socket", refuse)
+    monkeypatch.setattr(SocketBound, "opened", refuse)
     channel = channel_to(lambda: server.account)
 
     def refused() -> bool:

@@ -12,8 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks import pods
-from robotkube.robots.mqtt.adapters import paho_channel
-from robotkube.robots.mqtt.adapters.paho_channel import BrokerAccount, PahoChannel
+from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
+from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel
+from robotkube.robots.mqtt.adapters.paho_client import MqttClient
 from robotkube.robots.mqtt.core.packets import read_number, write_number
 
 pytestmark = pytest.mark.processes
@@ -54,6 +55,8 @@ class Events:
 
     def refused(self, topic: str, reason: str) -> None:
         self.refusals.append(reason)
+
+    def granted(self, topic: str) -> None: ...
 
     def rejected(self, token: int, reason: str) -> None:
         self.refusals.append(reason)
@@ -166,7 +169,7 @@ def test_wrong_accounts_and_foreign_topics_are_refused_in_words(broker: pods.Bro
     cloud.send(b"x")
     turn_until(lambda: cloud.events.refusals, cloud)
     assert "the broker refuses a message (reason 0x87" in cloud.events.refusals[0]
-    assert "look at the broker's ACL for this agent" in cloud.events.refusals[0]
+    assert "look at its rights, `robotkube agent rights`" in cloud.events.refusals[0]
 
 
 @pytest.mark.parametrize(
@@ -198,7 +201,7 @@ def test_what_a_broker_does_not_accept_costs_no_connection(
 
 def test_the_reason_of_a_broker_that_disconnects_is_quoted() -> None:
     reasons: list[str] = []
-    client = paho_channel._Client("x", lambda *_: None, lambda *_: None)
+    client = MqttClient("x", lambda *_: None, lambda *_: None)
     client.on_disconnect = lambda client, userdata, flags, reason, properties: reasons.append(str(reason))
     for packet in (b"\xe0\x01\x95", b"\xe0\x02\x8b\0", b"\xe0\0"):
         client._buffer += packet
@@ -230,7 +233,7 @@ def test_lengths_are_written_as_they_are_read(length: int) -> None:
 @given(st.lists(st.binary(max_size=300), max_size=6), st.lists(st.integers(1, 400), min_size=1, max_size=20))
 def test_messages_are_put_together_from_any_pieces(payloads: list[bytes], cuts: list[int]) -> None:
     got: list[bytes] = []
-    client = paho_channel._Client("x", lambda topic, payload, properties: got.append(payload), lambda mid, reason: None)
+    client = MqttClient("x", lambda topic, payload, properties: got.append(payload), lambda mid, reason: None)
     for payload in payloads:
         client.send_message("mqtt/topic", payload, False, b"")
     stream = b"".join(packet["packet"] for packet in client._out_packet)

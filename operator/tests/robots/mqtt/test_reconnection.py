@@ -12,12 +12,8 @@ import pytest
 
 from robotkube.backoffs import Random, backoff
 from robotkube.errors import InputError
-from robotkube.robots.mqtt.adapters.paho_channel import (
-    BACKOFF_SECONDS_MAX,
-    BACKOFF_SECONDS_MIN,
-    BrokerAccount,
-    PahoChannel,
-)
+from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
+from robotkube.robots.mqtt.adapters.paho_channel import BACKOFF_SECONDS_MAX, BACKOFF_SECONDS_MIN, PahoChannel
 
 if TYPE_CHECKING:
     from robotkube.robots.mqtt.ports import ChannelEvents

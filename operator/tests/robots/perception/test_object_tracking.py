@@ -13,8 +13,8 @@ from robotkube.errors import DocumentError
 from robotkube.robots.perception.core.detection import REFLECTANCE, ObjectCriteria, find_objects
 from robotkube.robots.perception.core.messages import PlanarPose, Poses, write_poses
 from robotkube.robots.perception.core.point_clouds import read_cloud
-from robotkube.robots.perception.core.settings import read_tracking_settings
 from robotkube.robots.perception.core.tracking import STEADY, STILL, Tracker, TrackerSettings
+from robotkube.robots.perception.core.tracking_settings import read_tracking_settings
 from robotkube.robots.perception.loops.object_tracking import ObjectTracking
 from robotkube.robots.ros.core.cdr import CdrReader, Header
 from scenarios.generator import messages, scene

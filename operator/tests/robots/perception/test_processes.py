@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import urllib.error
 import urllib.request
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -17,6 +18,7 @@ import pytest
 
 from benchmarks import pods
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
+from robotkube.testing.api_server import ApiServerInMemory
 from scenarios.generator import scene
 from tests.stages.ros import lidar_clouds
 from tests.stages.ros.ros_domains import domain as ros_domain
@@ -74,7 +76,7 @@ class Stage:
             self.processes.append(subprocess.Popen([sys.executable, *arguments], env=variables, stdout=out, stderr=log))
         return self.processes[-1]
 
-    def serve(self, name: str, settings: Mapping[str, Any]) -> tuple[subprocess.Popen[bytes], int]:
+    def serve(self, name: str, settings: Mapping[str, Any], **environment: str) -> tuple[subprocess.Popen[bytes], int]:
         """One of the services, and its health port."""
         path, port = self.folder / f"{name}.yaml", pods.free_port()
         path.write_text(write_mapping(settings))
@@ -84,6 +86,7 @@ class Stage:
             f"robotkube.robots.perception.{name}",
             ROBOTKUBE_CONFIG=str(path),
             ROBOTKUBE_HEALTH_PORT=str(port),
+            **environment,
         )
         return process, port
 
@@ -98,6 +101,15 @@ def stage(tmp_path: Path) -> Iterator[Stage]:
     for process in made.processes:
         process.kill()
         process.wait(10)
+
+
+def missing(port: int) -> str:
+    """Empty when it is, else what is missing."""
+    try:
+        return page(port, "/readyz").removesuffix("ok\n")
+    except urllib.error.HTTPError as error:
+        with error:
+            return error.read().decode()
 
 
 def page(port: int, path: str) -> str:
@@ -142,3 +154,25 @@ def test_wrong_settings_are_refused_with_file_and_key(
     assert process.wait(20) == 2
     log = (stage.folder / f"{name}.log").read_text()
     assert f"{stage.folder}/{name}.yaml: {problem}" in log
+
+
+def test_a_service_is_not_ready_while_it_refuses_its_newest_settings(stage: Stage) -> None:
+    with ApiServerInMemory() as api:
+
+        def change(**changes: Any) -> None:
+            text = write_mapping({**TRACKING, **changes})
+            api.put_config_map("vehicle-00", "object-tracking", {"config.yaml": text})
+
+        change()
+        place = {"ROBOTKUBE_CONFIGMAP": "vehicle-00/object-tracking", "ROBOTKUBE_API_SERVER": api.url}
+        process, port = stage.serve("object_tracking", TRACKING, **place)
+        until(lambda: "ready" in (stage.folder / "object_tracking.log").read_text())
+        until(lambda: not missing(port))
+        change(gapSeconds=0)
+        until(lambda: "refused" in missing(port))
+        assert "ones before are at work: config.yaml: gapSeconds: 0 must be a number" in missing(port)
+        assert "robotkube_settings_refused 1" in page(port, "/metrics")
+        change(gapSeconds=2)
+        until(lambda: not missing(port))
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(30) == 0

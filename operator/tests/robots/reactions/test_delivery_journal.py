@@ -327,7 +327,7 @@ def test_what_a_reaction_that_is_left_out_of_the_settings_has_not_delivered_is_a
     told.react(delivery(1))
     until(lambda: journal.document()["kept"] == 1)
     assert not told.stop(0.3)
-    assert [letter["id"] for letter in box.documents()] == ids(1)
+    until(lambda: [letter["id"] for letter in box.documents()] == ids(1))
     until(lambda: journal.document()["kept"] == 0)
 
 

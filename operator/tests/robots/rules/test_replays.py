@@ -29,6 +29,8 @@ RULES: list[dict[str, Any]] = [
      "sustained_seconds": 0.2, "minimum_interval_seconds": 1},
     {"name": "close", "kind": "proximity", "topic": POSES, "start_distance_m": 8, "stop_distance_m": 11,
      "scope": "group", "agents": ["vehicle-00", "vehicle-01", "vehicle-02"], "at_least": 2, "expire_seconds": 2},
+    {"name": "gathered", "kind": "geofence", "topic": POSES, "scope": "group", "at_least": 2, "expire_seconds": 2,
+     "sustained_seconds": 0.2, "area": {"type": "Polygon", "coordinates": [[[-6, -10], [9, -10], [9, 10], [-6, 10]]]}},
     {"name": "both", "kind": "combination", "all": ["yard", "high"]},
     {"name": "pairs", "kind": "combination", "all": ["near", {"not": "high"}], "scope": "pair"},
 ]  # fmt: skip

@@ -8,6 +8,7 @@ from robotkube.foundation.runtime.loops.fencing import Fencing
 from robotkube.robots.bridge.core.settings import BridgeSettings, read_bridge_settings
 from robotkube.robots.bridge.loops.bridge import Bridge
 from robotkube.robots.bridge.loops.flows import SendingSession
+from robotkube.robots.bridge.loops.link_reporting import LinkReporting
 from tests.stages.bridge.memory_network import Channel, Network
 
 TRACE = "ab" * 16
@@ -22,14 +23,14 @@ TRANSFORM = {
 
 
 class BridgeStage:
-    def __init__(self) -> None:
+    def __init__(self, reporting: LinkReporting | None = None) -> None:
         self.network = Network()
         self.channels: dict[str, Channel] = {}
         self.lines: list[str] = []
         self.events: list[tuple[str, dict[str, Any]]] = []
         self.now_ns = 1_000
         sender = SendingSession(42, lambda: self.now_ns, lambda name: f"definition of {name}", TRACE)
-        self.bridge = Bridge(self.network, self.channel, sender, self.log, Fencing())
+        self.bridge = Bridge(self.network, self.channel, sender, self.log, Fencing(), reporting)
 
     def channel(self, agent: str, name: str, events: Any) -> Channel:
         self.channels[name] = Channel(f"{agent}-{name}", events)

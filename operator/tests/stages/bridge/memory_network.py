@@ -82,7 +82,7 @@ class Channel:
         self.properties: list[bytes] = []
         self.subscribed: list[str] = []
         self.unsubscribed: list[str] = []
-        self.closed = False
+        self.wants_write = self.congested = self.closed = False
 
     def connect(self, session_kept: bool = False) -> None:
         """The broker takes the connection."""

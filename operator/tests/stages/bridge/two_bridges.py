@@ -16,7 +16,8 @@ from robotkube.foundation.runtime.loops.fencing import Fencing
 from robotkube.robots.bridge.core.settings import read_bridge_settings
 from robotkube.robots.bridge.loops.bridge import Bridge
 from robotkube.robots.bridge.loops.flows import SendingSession
-from robotkube.robots.mqtt.adapters.paho_channel import BrokerAccount, PahoChannel
+from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
+from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel
 from robotkube.robots.ros.core.common_messages import header_stamp
 from tests.stages.bridge.memory_network import Endpoint, Network
 
@@ -27,8 +28,9 @@ POSE_SECONDS = 0.01
 class Side:
     """A bridge with a ROS network in memory and connections to the broker."""
 
-    def __init__(self, broker: pods.Broker, agent: str) -> None:
+    def __init__(self, broker: pods.Broker, agent: str, port: int = 0) -> None:
         self.broker, self.agent, self.network = broker, agent, Network()
+        self.port = port or broker.port
         self.channels: dict[str, PahoChannel] = {}
         sender = SendingSession(7, time.time_ns, lambda name: f"definition of {name}")
         self.bridge = Bridge(self.network, self._channel, sender, lambda *a, **k: None, Fencing())
@@ -40,17 +42,19 @@ class Side:
         return self.network.endpoint(topic["name"])
 
     def _channel(self, agent: str, name: str, events: Any) -> PahoChannel:
-        account = BrokerAccount("127.0.0.1", self.broker.port, agent, pods.password(agent))
-        self.channels[name] = PahoChannel(lambda: account, f"{agent}-{name}", 60, events)
+        account = BrokerAccount("127.0.0.1", self.port, agent, pods.password(agent))
+        bounded = name != "safety"
+        self.channels[name] = PahoChannel(lambda: account, f"{agent}-{name}", 60, events, bounded=bounded)
         return self.channels[name]
 
 
 class Stage:
-    """A vehicle and the cloud; `play` lets the vehicle's topics go at their rates."""
+    """A vehicle and the cloud; `play` lets the vehicle's topics go at their rates. `port`: the vehicle's way to the
+    broker, where it is another one."""
 
-    def __init__(self, broker: pods.Broker) -> None:
+    def __init__(self, broker: pods.Broker, port: int = 0) -> None:
         self.broker = broker
-        self.vehicle, self.cloud = Side(broker, "vehicle-00"), Side(broker, "cloud-0")
+        self.vehicle, self.cloud = Side(broker, "vehicle-00", port), Side(broker, "cloud-0")
         self.sent: dict[str, int] = {}
 
     def turn(self) -> None:
@@ -108,11 +112,11 @@ class Stage:
 
 
 @contextmanager
-def running(tmp_path: Path) -> Iterator[Stage]:
-    """A stage with a broker that runs."""
+def running(tmp_path: Path, way: Callable[[int], int] = int) -> Iterator[Stage]:
+    """A stage with a broker that runs; `way`: the port of the vehicle's way to the broker's port."""
     broker = pods.Broker(tmp_path, {"vehicle-00": pods.vehicle_rules("vehicle-00"), "cloud-0": pods.CLOUD_RULES})
     broker.start()
-    made = Stage(broker)
+    made = Stage(broker, way(broker.port))
     try:
         yield made
     finally:

@@ -12,6 +12,7 @@ from typing import Any
 import yaml
 
 from robotkube.delivery.deployment.core.releases import Release, read_tree
+from robotkube.delivery.manager.core.broken_links import BrokenLinks, broken_links
 from robotkube.delivery.manager.core.placement.placement import Agent, NodeState
 from robotkube.delivery.manager.loops.main_reader import MainReader
 from robotkube.delivery.manager.loops.planner import ManagerSettings, Planner
@@ -31,6 +32,7 @@ from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalog
 from robotkube.registry.charts.core.packing import published_digest
 from robotkube.registry.charts.ports import RenderedImages
 from robotkube.registry.evidence.core.statements import Artefact, Listing
+from robotkube.robots.bridge.core.link_reports import LinkReport
 from robotkube.testing.clusters import MemoryArgoCD, MemoryCluster, MemoryTasks
 from robotkube.testing.forges import MemoryForge, MemoryRepository
 from robotkube.testing.leadership import MemoryLeadership
@@ -40,6 +42,7 @@ from tests.stages.registry.signed_evidence import (
     POLICY_TEXT,
     Signing,
     application_evidence,
+    seeded_key,
     signing_key,
     trusting,
 )
@@ -47,6 +50,7 @@ from tests.stages.waiting import WAIT_SECONDS_MAX
 
 CHARTS = "oci://forge.robotkube.svc.cluster.local:3000/verified"
 MEETING = "cloud-0/meeting"
+SEED = 7
 START_NS = 1795250000_000000000
 
 
@@ -60,8 +64,10 @@ def schema_file(chart: str, version: str) -> Mapping[str, str]:
     return {f"charts/{chart}/{version}.schema.json": json.dumps(schema, indent=1, sort_keys=True) + "\n"}
 
 
-def catalogue_files(signing: Signing, images: Sequence[str] = ()) -> dict[str, str]:
-    """The project's own catalogue, published with evidence; its charts run these images."""
+@cache
+def catalogue_files(images: tuple[str, ...] = ()) -> Mapping[str, str]:
+    """The project's own catalogue, published with evidence by the key of `SEED`; its charts run these images."""
+    signing = Signing(seeded_key(SEED))
     files = {str(p.relative_to(REGISTRY)): p.read_text() for p in REGISTRY.glob("applications/*.yaml")}
     for path in sorted(REGISTRY.glob("charts/*/*.yaml")):
         files |= chart_files(signing, path.parent.name, path.stem, images)
@@ -103,11 +109,12 @@ class Stage:
 
     notified: Sequence[str] = ()
     images: RenderedImages | None = None
+    links: Sequence[LinkReport] = ()
 
     def __init__(self, folder: Path, vehicles: int = 3, image: str = "", images: RenderedImages | None = None) -> None:
         """`image` is what the catalogue's charts run, `images` what releases would run when they are rendered."""
         self.images = images
-        key = self.key = signing_key(folder / "key")
+        key = self.key = signing_key(folder / "key", SEED)
         self.verifier = trusting(folder / "trusted", key)
         names = [(f"vehicle-{i:02d}", "vehicle") for i in range(vehicles)] + [("cloud-0", "cloud")]
         self.settings = ManagerSettings(tuple(Agent(name, role, name) for name, role in names), CHARTS)
@@ -117,7 +124,7 @@ class Stage:
         )
         self.repository, self.catalogue = MemoryRepository(), MemoryRepository()
         self.repository.push({"policies/initial.yaml": "add: []\nremove: []\n"}, "seed")
-        self.catalogue.push(catalogue_files(Signing(key), [image] if image else []), "seed")
+        self.catalogue.push(catalogue_files((image,) if image else ()), "seed")
         self.forge = MemoryForge(self.repository)
         self.tasks, self.argocd = MemoryTasks(), MemoryArgoCD()
         self.leadership = MemoryLeadership()
@@ -141,8 +148,12 @@ class Stage:
         looked_up = VerifiedImages(self.images)
         planner = Planner(self.settings, self.tasks, self.cluster, catalogue, main, render, validate, images=looked_up)
         observer = PlanObserver(self.cluster, self.argocd, at_once, now_ns, monotonic)
-        ports = ManagerPorts(self.tasks, self.cluster, self.repository, self.forge, self.forge, self.leadership)
+        forge = (self.repository, self.forge, self.forge)
+        ports = ManagerPorts(self.tasks, self.cluster, *forge, self.leadership, broken_links=self.broken_links)
         return ApplicationManager(ports, catalogue, main, planner, observer, now_ns, monotonic)
+
+    def broken_links(self) -> BrokenLinks:
+        return broken_links(self.links, self.cluster.pods)
 
     def go(self, steps: int = 4, seconds: float = 0.1, wake: str = TASKS) -> None:
         self.manager.wake(wake)

@@ -21,6 +21,8 @@ from typing import Any
 import httpx
 import yaml
 
+from tests.stages import http_calls
+
 END_SECONDS_MAX = 10
 SIGNALS = {"kill": signal.SIGKILL, "stop": signal.SIGSTOP}
 AGENTS = (("cloud-0", "cloud"), ("vehicle-00", "vehicle"), ("vehicle-01", "vehicle"))
@@ -101,7 +103,7 @@ class Pod:
     def get(self, path: str) -> httpx.Response | None:
         assert self.process.poll() is None, self.log.read_text()[-5000:]
         try:
-            return httpx.get(f"{self.url}{path}", timeout=2)
+            return http_calls.get(f"{self.url}{path}", timeout=2)
         except httpx.HTTPError:
             return None
 

@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 from benchmarks import pods
-from robotkube.robots.mqtt.adapters.paho_channel import BrokerAccount, PahoChannel
+from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
+from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel
 
 PEER, DETECTOR = "vehicle-07", "cloud-0"
 WAIT_SECONDS = 30.0

@@ -20,7 +20,7 @@ from tests.stages.ros.ros_domains import domain as ros_domain
 @pytest.fixture
 def api() -> Iterator[Api]:
     api = Api(write_mapping(SETTINGS))
-    thread = threading.Thread(target=api.serve_forever)
+    thread = threading.Thread(target=api.serve_forever, args=(0.02,))
     thread.start()
     yield api
     api.closing.set()

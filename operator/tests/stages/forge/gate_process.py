@@ -10,6 +10,7 @@ from typing import Any
 import httpx
 import yaml
 
+from tests.stages import http_calls
 from tests.stages.forge.catalogue_evidence import SEED, key_folder
 from tests.stages.forge.installation import (
     CHARTS_URL,
@@ -86,6 +87,6 @@ def gate_settings(installation: Installation, folder: Path, hook_url: str) -> di
 
 def answers(url: str) -> int:
     try:
-        return httpx.get(url, timeout=2).status_code
+        return http_calls.get(url, timeout=2).status_code
     except httpx.HTTPError:
         return 0

@@ -1,10 +1,13 @@
 """A real forge (Gitea on SQLite) on a loopback port, for tests: it starts with an empty data folder."""
 
+import atexit
+import functools
 import os
 import secrets
 import shutil
 import signal
 import subprocess
+import tempfile
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +16,7 @@ import httpx
 
 from ci import toolchain
 from ci.folders import PROJECT
+from tests.stages import http_calls
 from tests.stages.programs import SELDOM_COLLECTING, free_port, program
 
 START_SECONDS_MAX = 60.0
@@ -76,13 +80,26 @@ class ForgeStartError(RuntimeError):
     """The forge did not start; the message ends with its log."""
 
 
+ADMINISTRATOR, PASSWORD = "administrator", secrets.token_hex(12)  # of all forges of a process
+
+
+@functools.cache
+def fresh_data() -> Path:
+    """The data folder of a forge with its tables and its administrator. It is made once in a process, since two
+    programs make it: what each forge begins with is a copy."""
+    folder = Path(tempfile.mkdtemp(prefix="fresh-forge-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    ForgeProcess(folder).make_data()
+    return folder
+
+
 @dataclass
 class ForgeProcess:
     """One forge: `start()` makes data folder and administrator and waits until it answers, `stop()` ends it."""
 
     data: Path
-    administrator_password: str = field(default_factory=lambda: secrets.token_hex(12))
-    administrator: str = "administrator"
+    administrator_password: str = PASSWORD
+    administrator: str = ADMINISTRATOR
     port: int = field(default_factory=free_port)
     process: subprocess.Popen[bytes] | None = None
     environment: dict[str, str] = field(default_factory=dict)
@@ -114,30 +131,30 @@ class ForgeProcess:
 
     def start(self) -> None:
         """Raises ForgeStartError when it does not answer within START_SECONDS_MAX."""
-        self.data.mkdir(parents=True, exist_ok=True)
         if not (self.data / "app.ini").exists():
+            shutil.copytree(fresh_data(), self.data, dirs_exist_ok=True)
             self._write_configuration()
-            self._run("migrate")
-            self._run(
-                *("admin", "user", "create", "--admin", "--username", self.administrator),
-                *("--password", self.administrator_password, "--email", "administrator@forge.invalid"),
-                "--must-change-password=false",
-            )
         log = (self.data / "forge.log").open("ab")
         command = [program("gitea"), "--config", str(self.data / "app.ini"), "web"]
         self.process = subprocess.Popen(command, env=self._environment(), stdout=log, stderr=log)
         log.close()
         self._wait_until_it_answers()
 
+    def make_data(self) -> None:
+        """Tables and administrator, in a folder that is there and empty."""
+        self._write_configuration()
+        self._run("migrate")
+        self._run(
+            *("admin", "user", "create", "--admin", "--username", self.administrator),
+            *("--password", self.administrator_password, "--email", "administrator@forge.invalid"),
+            "--must-change-password=false",
+        )
+
     def _write_configuration(self) -> None:
         user = subprocess.run(["id", "-un"], capture_output=True, text=True, check=True).stdout.strip()
-        token = subprocess.run(
-            [program("gitea"), "generate", "secret", "INTERNAL_TOKEN"],
-            capture_output=True, text=True, check=True, env=self._environment(), timeout=60,
-        ).stdout.strip()  # fmt: skip
         text = APP_INI.format(
             user=user, data=self.data, port=self.port, url=self.url, static=toolchain.gitea_static("templates").parent,
-            secret=secrets.token_hex(32), token=token, hooks=HOOKS, rights=RIGHTS.read_text().strip(),
+            secret=secrets.token_hex(32), token=secrets.token_hex(32), hooks=HOOKS, rights=RIGHTS.read_text().strip(),
         )  # fmt: skip
         (self.data / "app.ini").write_text(text)
 
@@ -147,7 +164,7 @@ class ForgeProcess:
             if self.process is None or self.process.poll() is not None:
                 break
             try:
-                if httpx.get(f"{self.url}/api/healthz", timeout=2).status_code == 200:
+                if http_calls.get(f"{self.url}/api/healthz", timeout=2).status_code == 200:
                     return
             except httpx.HTTPError:
                 time.sleep(0.1)

@@ -36,6 +36,7 @@ from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalog
 from robotkube.registry.charts.core.references import ChartReference
 from robotkube.registry.charts.ports import RenderedImages
 from robotkube.setup.loops.bootstrap import ForgeAccount, ForgeSetup, Organisation, Repository, Webhook
+from tests.stages import http_calls
 from tests.stages.delivery.manager_process import Outside
 from tests.stages.forge.catalogue_evidence import (
     applications,
@@ -50,13 +51,14 @@ from tests.stages.programs import free_port
 
 END_SECONDS_MAX = 20.0
 ACCOUNTS = (
-    *("manager", "gate", "argocd", "publisher", "image-publisher", "suite-runner", "inspector"),
+    *("manager", "gate", "argocd", "publisher", "image-publisher", "suite-runner", "inspector", "nodes", "rights"),
     *("operator-team", "reviewer"),
 )
 PACKAGES: Mapping[str, Mapping[str, str]] = {
-    "robotkube": {"image-publisher": "write", "gate": "read", "suite-runner": "read"},
+    "robotkube": {"image-publisher": "write", "gate": "read", "suite-runner": "read", "nodes": "read"},
     "staging-publisher": {"publisher": "write", "gate": "read", "suite-runner": "read"},
     "staging": {"gate": "write", "suite-runner": "read"},
+    "own-images": {"gate": "write", "suite-runner": "read", "nodes": "read"},
     "verified": {"gate": "write", "manager": "read", "argocd": "read", "suite-runner": "read", "inspector": "read"},
 }
 CHARTS_URL = "oci://forge.robotkube.svc.cluster.local:3000/verified"
@@ -244,7 +246,9 @@ class Installation:
         """The API of robotkube/deployment as `account`."""
         if account not in self.clients:
             base = f"{self.url}/api/v1/repos/robotkube/deployment"
-            self.clients[account] = httpx.Client(base_url=base, auth=(account, self.passwords[account]), timeout=30)
+            self.clients[account] = http_calls.client(
+                base_url=base, auth=(account, self.passwords[account]), timeout=30
+            )
         return self.clients[account]
 
     def disconnect(self) -> None:

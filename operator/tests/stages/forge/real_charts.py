@@ -47,7 +47,7 @@ def published_bridge(installation: Installation, version: str) -> Iterator[Publi
     """A bridge whose value `image.reference` leads to any image, as strangers' charts may, in the OCI registry too."""
     with tempfile.TemporaryDirectory() as name:
         charts = Path(name)
-        chart = pack(chart_with_image_value(charts), {"ros": IMAGE})
+        chart = pack(chart_with_image_value(charts), {CHART: IMAGE})
         with OciRegistry(installation.url, "gate", installation.passwords["gate"]) as registry:
             registry.push_chart("verified", chart)
         with published(installation, version, chart.digest, charts) as bridge:

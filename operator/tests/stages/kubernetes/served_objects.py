@@ -20,7 +20,7 @@ def serving(answer: Answer, folder: Path) -> Iterator[Path]:
     """A kubeconfig below `folder` of a server that answers a GET by path and query: with a document, with 403 where it
     is FORBIDDEN, with 404 where it is None."""
     server = ThreadingHTTPServer(("127.0.0.1", 0), _handler(answer))
-    thread = threading.Thread(target=server.serve_forever)
+    thread = threading.Thread(target=server.serve_forever, args=(0.02,))
     thread.start()
     cluster = {"name": "a", "cluster": {"server": f"http://127.0.0.1:{server.server_port}"}}
     context = {"name": "a", "context": {"cluster": "a", "user": "a"}}

@@ -1,4 +1,5 @@
-"""A vehicle and an intersection with a road-side unit, made of poses alone: no bag is needed."""
+"""A vehicle and an intersection with a road-side unit, made of poses, and of clouds of their lidars where a story needs
+them: no bag is needed."""
 
 from __future__ import annotations
 
@@ -6,14 +7,20 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from typing import Any
 
-from scenarios.definition import pose_topic
-from scenarios.generator.messages import POSE_TYPE
+from scenarios.definition import cloud_topic, pose_topic
+from scenarios.generator.intersection import STOPPED, UNIT
+from scenarios.generator.messages import CLOUD_TYPE, POSE_TYPE
+from scenarios.generator.scene import Place
 from tests.stages.platform.table_one import BRIDGE, Stage, pose
+from tests.stages.scenarios.corner import CLOUD_HZ, SITE, VEHICLE, View, cloud
 
-SITE, VEHICLE = "roadside-0", "vehicle-00"
+__all__ = ["SITE", "SITE_SERVICES", "VEHICLE", "approached", "left", "operator", "seeing"]
+
+SENSORS = {SITE: f"{SITE}/{BRIDGE}", VEHICLE: f"{VEHICLE}/object-detection-{VEHICLE}"}
+"""In whose pods the lidars speak: those of a bridge have room for three small programs beside it, and no more."""
 SITE_SERVICES = (f"{SITE}/object-detection-{SITE}", f"{SITE}/object-tracking-{SITE}")
 START_M, STOP_M = 200, 250
-NEAR_M, FAR_M = 50.0, 1000.0
+FAR = Place(1000.0, STOPPED.y, 0.0)
 
 
 def operator(application: str) -> dict[str, Any]:
@@ -24,18 +31,29 @@ def operator(application: str) -> dict[str, Any]:
 
 
 def approached(stage: Stage) -> AbstractContextManager[None]:
-    """The vehicle is near the intersection as long as this lasts."""
-    return _at(stage, NEAR_M)
+    """The vehicle stops at the intersection as long as this lasts."""
+    return _at(stage, STOPPED)
 
 
 def left(stage: Stage) -> AbstractContextManager[None]:
     """The vehicle is far from it."""
-    return _at(stage, FAR_M)
+    return _at(stage, FAR)
 
 
 @contextmanager
-def _at(stage: Stage, distance_m: float) -> Iterator[None]:
+def seeing(stage: Stage, *views: View) -> Iterator[None]:
+    """Lidars see what they do from where they stand, as long as this lasts."""
+    with ExitStack() as every:
+        for view in views:
+            message = (cloud_topic(view.agent), CLOUD_TYPE, cloud(view))
+            every.enter_context(stage.publishing(SENSORS[view.agent], message, hertz=CLOUD_HZ))
+        yield
+
+
+@contextmanager
+def _at(stage: Stage, place: Place) -> Iterator[None]:
     with ExitStack() as both:
-        for agent, x in ((SITE, 0.0), (VEHICLE, distance_m)):
-            both.enter_context(stage.publishing(f"{agent}/{BRIDGE}", (pose_topic(agent), POSE_TYPE, pose(x))))
+        for agent, there in ((SITE, UNIT), (VEHICLE, place)):
+            poses = (pose_topic(agent), POSE_TYPE, pose(there.x, there.y))
+            both.enter_context(stage.publishing(f"{agent}/{BRIDGE}", poses))
         yield

@@ -28,6 +28,7 @@ from scenarios import definition, demo
 from scenarios.definition import Scenario
 from scenarios.runner.access import GATE, PLATFORM, Access
 from scenarios.runner.waiting import RunError
+from tests.stages import http_calls
 from tests.stages.paths import WIDEST
 
 NAME = "test"
@@ -124,7 +125,7 @@ class Platform:
     def forge(self, account: str) -> httpx.Client:
         """The forge's API of the deployment repository as `account`; to be closed."""
         base = f"{self.forge_url()}/api/v1/repos/{DEPLOYMENT}"
-        return httpx.Client(base_url=base, auth=(account, self.password(account)), timeout=30)
+        return http_calls.client(base_url=base, auth=(account, self.password(account)), timeout=30)
 
     def writer(self, account: str, folder: Path) -> Writer:
         """Commits to the deployment repository as `account`, by a clone in `folder`."""

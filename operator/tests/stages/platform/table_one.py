@@ -15,8 +15,9 @@ from typing import Any
 
 import yaml
 
+from robotkube.robots.ros.core.common_messages import STAMPED_TYPES
 from scenarios.generator import messages
-from scenarios.runner import policy, proposing
+from scenarios.runner import listening, policy, proposing
 from scenarios.runner.acting import task
 from scenarios.runner.deployment import Deployment
 from scenarios.runner.inputs import Commit
@@ -33,28 +34,18 @@ READY_SECONDS_MAX = 120.0
 SETTLED_SECONDS_MAX = 120.0
 TEXT, NUMBER, POSES = "std_msgs/msg/String", "std_msgs/msg/Float64", "geometry_msgs/msg/PoseArray"
 BRIDGE = "mqtt-bridge"
+PYTHON = ("python3", "-c")
 
-# Run in a pod of the agent's: everything that speaks ROS there has these modules.
-RECEIVE = """
-import base64, sys, time
-from robotkube.robots.ros.adapters.rclpy_node import RosNode
-topic, kind, count, seconds = sys.argv[1], sys.argv[2], int(sys.argv[3]), float(sys.argv[4])
-heard, end = RosNode("table_one_listener").subscribe(topic, kind), time.monotonic() + seconds
-while count > 0 and time.monotonic() < end:
-    for data in heard.take():
-        print(base64.b64encode(data).decode(), flush=True)
-        count -= 1
-    time.sleep(0.02)
-"""
+# Run in a pod of the agent's: everything that speaks ROS there has the module that it imports, and not many others.
 PUBLISH = """
-import base64, json, select, sys, time
+import base64, json, select, struct, sys, time
 from robotkube.robots.ros.adapters.rclpy_node import RosNode
-from robotkube.robots.bags.core.playback import restamped
-from robotkube.robots.ros.core.common_messages import STAMPED_TYPES
 node, sources = RosNode("table_one_speaker"), []
-for topic, kind, text in json.loads(sys.stdin.readline()):
-    stamped = kind in STAMPED_TYPES
+for topic, kind, text, stamped in json.loads(sys.stdin.readline()):
     sources.append((node.advertise(topic, kind), base64.b64decode(text), stamped))
+def restamped(data, stamp):
+    order = "<" if data[1] & 1 else ">"
+    return data[:4] + struct.pack(order + "iI", *divmod(stamp, 10**9)) + data[12:]
 period, end = 1 / float(sys.argv[1]), time.monotonic() + float(sys.argv[2])
 while time.monotonic() < end and not select.select([sys.stdin], [], [], 0)[0]:  # its end: nobody wants to hear more
     for publisher, data, stamped in sources:
@@ -127,22 +118,29 @@ class Stage:
         return self.condition(key)
 
     @contextmanager
-    def asked_by_a_person(self, *entries: Mapping[str, Any]) -> Iterator[None]:
-        """Entries of policies/initial.yaml by a person's pull request, and afterwards another one without them."""
-        self._put_policy(lambda kept: [*kept, *entries])
+    def asked_by_a_person(
+        self, *entries: Mapping[str, Any], instead_of: Sequence[Mapping[str, Any]] = ()
+    ) -> Iterator[None]:
+        """Entries of policies/initial.yaml by a person's pull request, without what they stand for, and afterwards
+        another pull request that brings it back."""
+        self._put_policy(lambda kept: [*kept, *entries], lambda kept: [*kept, *instead_of])
         try:
             yield
         finally:
-            self._put_policy(lambda kept: [entry for entry in kept if entry not in entries])
+            self._put_policy(
+                lambda kept: [entry for entry in kept if entry not in entries],
+                lambda kept: [entry for entry in kept if entry not in instead_of],
+            )
 
     def ask_otherwise(self, entry: Mapping[str, Any], other: Mapping[str, Any]) -> None:
         """Another entry of policies/initial.yaml in the place of one, by a person's pull request."""
         self._put_policy(lambda kept: [other if one == entry else one for one in kept])
 
-    def _put_policy(self, change: Any) -> None:
+    def _put_policy(self, add: Any, remove: Any = list) -> None:
         self.deployment.fetch()
         document = yaml.safe_load(self.deployment.file(policy.PATH)) or {}
-        text = yaml.safe_dump(document | {"add": change(list(document.get("add") or []))}, sort_keys=True)
+        changed = {"add": add(list(document.get("add") or [])), "remove": remove(list(document.get("remove") or []))}
+        text = yaml.safe_dump(document | changed, sort_keys=True)
         topic = f"table-one-{time.time_ns()}"
         proposing.change(self.deployment, policy.PATH, text, "policy(initial): a story of Table I", topic)
 
@@ -238,21 +236,23 @@ class Stage:
 
     def receive(self, release: str, topic: str, kind: str, count: int = 1) -> list[Any]:
         """`count` messages of a topic on the node of a release's pod, read there; fails when there are fewer."""
-        command = self._inside(release, RECEIVE, topic, kind, str(count), str(RECEIVE_SECONDS_MAX))
+        command = self._inside(release, *listening.arguments(topic, kind, count, RECEIVE_SECONDS_MAX))
         done = subprocess.run(command, capture_output=True, text=True, timeout=RECEIVE_SECONDS_MAX + 30, check=False)
-        lines = done.stdout.split()
-        assert len(lines) >= count, f"{topic}: {len(lines)} of {count} messages\n{done.stderr[-2000:]}"
-        return [messages.store.deserialize_cdr(base64.b64decode(line), kind) for line in lines[:count]]
+        heard = listening.messages(done.stdout)
+        assert len(heard) >= count, f"{topic}: {len(heard)} of {count} messages\n{done.stderr[-2000:]}"
+        return [messages.store.deserialize_cdr(data, kind) for data in heard[:count]]
 
     @contextmanager
     def publishing(self, release: str, *published: Message, hertz: float = 10) -> Iterator[None]:
         """Messages published on the node of a release's pod as if a service there did, again and again, stamped
         with the present time where they have a header."""
-        command = self._inside(release, PUBLISH, str(hertz), str(PUBLISH_SECONDS_MAX), stdin=True)
+        command = self._inside(release, *PYTHON, PUBLISH, str(hertz), str(PUBLISH_SECONDS_MAX), stdin=True)
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
         assert process.stdin is not None
         try:
-            lines = [(topic, kind, base64.b64encode(data).decode()) for topic, kind, data in published]
+            lines = [
+                (topic, kind, base64.b64encode(data).decode(), kind in STAMPED_TYPES) for topic, kind, data in published
+            ]
             process.stdin.write(json.dumps(lines) + "\n")
             process.stdin.flush()
             yield
@@ -263,16 +263,16 @@ class Stage:
 
     def run(self, release: str, program: str, *arguments: str, seconds: float) -> list[str]:
         """Lines that a Python program prints beside a release's process, in its pod; fails when the program does."""
-        command = self._inside(release, program, *arguments)
+        command = self._inside(release, *PYTHON, program, *arguments)
         done = subprocess.run(command, capture_output=True, text=True, timeout=seconds, check=False)
         assert done.returncode == 0, f"{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
         return done.stdout.splitlines()
 
-    def _inside(self, release: str, program: str, *arguments: str, stdin: bool = False) -> list[str]:
-        namespace, name = release.split("/", 1)
+    def _inside(self, release: str, *command: str, stdin: bool = False) -> list[str]:
+        namespace, pod = release.partition("/")[0], self.await_running(release)[release]  # not one that is ending
         kubectl = [str(self.platform.installer.binaries / "kubectl"), f"--kubeconfig={self.platform.access.kubeconfig}"]
-        words = [*kubectl, "-n", namespace, "exec", *(["-i"] if stdin else []), f"deployment/{name}", "--"]
-        return [*words, "python3", "-c", program, *arguments]
+        words = [*kubectl, "-n", namespace, "exec", *(["-i"] if stdin else []), pod.name, "--"]
+        return [*words, *command]
 
 
 @contextmanager

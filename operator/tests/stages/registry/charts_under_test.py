@@ -15,8 +15,9 @@ from robotkube.registry.charts.core.packing import IMAGES_FILE
 from robotkube.registry.evidence.core.statements import Artefact
 from robotkube.registry.suites.ports.suites import Subject
 from tests.stages.programs import program
+from tests.stages.registry import chart_images
 
-IMAGES = {"ros": "forge.robotkube.svc.cluster.local:3000/robotkube/ros@sha256:" + "5" * 64}
+IMAGES = chart_images.all_as("forge.robotkube.svc.cluster.local:3000/robotkube/image@sha256:" + "5" * 64)
 NAMESPACE = "suite"
 
 

@@ -48,6 +48,7 @@ class LocalTestNamespace:
         self.api = ApiServerInMemory()
         self.api.__enter__()
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        self.deployments: dict[str, Object] = {}
         self.ports: dict[str, int] = {}
         self.deleted: list[str] = []
         self._broker: SuiteAccount | None = None
@@ -77,8 +78,11 @@ class LocalTestNamespace:
                 for name, text in data.items():
                     (place / name).write_text(text)
         for item in objects:
-            if item["kind"] == "Deployment":
-                self._start(item["metadata"]["name"], item["spec"]["template"]["spec"]["containers"][0]["command"])
+            name = item["metadata"]["name"]
+            if item["kind"] == "Deployment" and (item != self.deployments.get(name) or name not in self.processes):
+                self._stop(self.processes.pop(name, None))
+                self._start(name, item["spec"]["template"]["spec"]["containers"][0]["command"])
+                self.deployments[name] = item
 
     def _start(self, name: str, command: Sequence[str]) -> None:
         place, self.ports[name] = self.folder / name, pods.free_port()
@@ -109,6 +113,7 @@ class LocalTestNamespace:
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
             "ROS_LOG_DIR": str(self.folder / "ros"),
             "PYTHONPATH": str(SOURCE),
+            "PYTHONSAFEPATH": "1",  # as in the images
             "ROBOTKUBE_SECRETS": str(self.folder / "secrets"),
             **more,
         }
@@ -148,7 +153,7 @@ class LocalTestNamespace:
         state = {"running": {}} if code is None else {"terminated": {"exitCode": code, "reason": "Error"}}
         ready = {"type": "Ready", "status": str(code is None)}
         status = {"conditions": [ready], "containerStatuses": [{"name": name, "state": state}]}
-        return {"metadata": {"name": name}, "spec": {}, "status": status}
+        return {"metadata": {"name": name, "uid": str(self.processes[name].pid)}, "spec": {}, "status": status}
 
     def logs(self, pod: str) -> str:
         return (self.folder / f"{pod}.log").read_text()

@@ -155,12 +155,12 @@ def _collect(repository: Any, tree: Any, prefix: str, found: dict[str, str]) -> 
             found[prefix + entry.name] = repository[entry.id].data.decode()
 
 
-def write_sources(folder: Path, name: str) -> None:
-    """What `registry new` writes, beside the library chart."""
+def write_sources(folder: Path, name: str, *more: str) -> None:
+    """What `registry new` writes (with more options), beside the library chart."""
     library = REPOSITORY / "charts" / "apps" / "robotkube-app"
     shutil.copytree(library, folder / "charts" / "apps" / library.name)
     shutil.copytree(REPOSITORY / "registry" / "policies", folder / "registry" / "policies")
     for place in ("applications", "charts"):
         (folder / "registry" / place).mkdir(parents=True)
     where = ["--charts", str(folder / "charts" / "apps"), "--registry", str(folder / "registry")]
-    assert cli.main(["registry", "new", name, *where]) == 0
+    assert cli.main(["registry", "new", name, *more, *where]) == 0

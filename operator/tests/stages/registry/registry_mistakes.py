@@ -241,6 +241,20 @@ REFERENCES = [
 
 TEMPLATES = [
     Mistake(
+        "type of a link",
+        put(RECORDING, "spec.links[0].topics[0].type", "rover_msgs/msg/Fix"),
+        RECORDING,
+        "spec.links[0].topics[0].type",
+        "none of the packaged images has the message package rover_msgs, so no bridge carries it; take a type of",
+    ),
+    Mistake(
+        "message of a link",
+        put(RECORDING, "spec.links[0].topics[0].type", "geometry_msgs/msg/PosesStamped"),
+        RECORDING,
+        "spec.links[0].topics[0].type",
+        "geometry_msgs has no message PosesStamped (it has Pose, Pose2D, PoseArray, PoseStamped, PoseWithCovariance,",
+    ),
+    Mistake(
         "schema",
         parameter("vehicles.type", "liste"),
         RECORDING,
@@ -274,7 +288,7 @@ TEMPLATES = [
         put(RECORDING, f"{REACTION}.recording", "{{ nothing.name }}"),
         RECORDING,
         f"{REACTION}.recording",
-        "unknown name 'nothing'; the names are agent, chart, parameters, placement, task",
+        "unknown name 'nothing'; the names are agent, agents, chart, parameters, placement, task",
     ),
     Mistake(
         "unknown parameter",
@@ -282,6 +296,27 @@ TEMPLATES = [
         RECORDING,
         f"{REACTION}.recording",
         "parameters has no 'title'; it has vehicles",
+    ),
+    Mistake(
+        "unknown list of agents",
+        put(PROXIMITY, f"{SERVICE}.release", "{{ agents.radars | first }}"),
+        PROXIMITY,
+        f"{SERVICE}.release",
+        "agents has no 'radars'; it has lidars",
+    ),
+    Mistake(
+        "list of agents that may be empty",
+        put(PROXIMITY, f"{SERVICE}.release", "x-{{ agents.lidars | first }}"),
+        PROXIMITY,
+        f"{SERVICE}.release",
+        "No first item, sequence was empty",
+    ),
+    Mistake(
+        "list of all agents",
+        put(PROXIMITY, "spec.agents.lidars", {}),
+        PROXIMITY,
+        "spec.agents.lidars",
+        "needs `role`, `capabilities` or both",
     ),
     Mistake(
         "unknown key of a task",
@@ -366,9 +401,34 @@ CHARTS = [
         "spec.suites.sets[1].values",
         "'extra' was unexpected",
     ),
+    Mistake(
+        "topic of a rate that the chart does not declare",
+        put(BRIDGE, "spec.success", {"rates": [{"topic": "/vehicles/{agent}/cloud", "atLeastHz": 8}], "seconds": 60}),
+        BRIDGE,
+        "spec.success.rates[0].topic",
+        "is no ROS topic that an interface of direction out gives",
+    ),
     Mistake("equal test values", alike_test_values, BRIDGE, "spec.interfaces", "the test sets give different topics"),
     Mistake(
-        "images", put(BRIDGE, "spec.images", ["python"]), BRIDGE, "spec.images", "python here, ros in the annotation"
+        "type that a detector subscribes to",
+        put(PROXIMITY, f"{SERVICE}.values.detector.topics[0].type", "rover_msgs/msg/Fix"),
+        PROXIMITY,
+        f"{SERVICE}.values.detector.topics[0].type",
+        "has the message package rover_msgs, and the chart runs event-detector; take a type of docs/reference/",
+    ),
+    Mistake(
+        "type of an interface",
+        put(BRIDGE, "spec.suites.sets[0].values.bridge.out[0].type", "rover_msgs/msg/Fix"),
+        BRIDGE,
+        "spec.interfaces[0].type",
+        "and the chart runs mqtt-bridge; take a type of docs/reference/message-types.md",
+    ),
+    Mistake(
+        "images",
+        put(BRIDGE, "spec.images", ["python"]),
+        BRIDGE,
+        "spec.images",
+        "python here, mqtt-bridge in the annotation",
     ),
     Mistake(
         "version of the chart",

@@ -47,7 +47,7 @@ metadata: {name: release}
 spec:
   suites:
   - {name: static, version: "1", seconds: 60}
-  - {name: images, version: "1", seconds: 60}
+  - {name: images, version: "2", seconds: 60}
   - {name: install, version: "2", seconds: 240}
 """
 POLICY = read_verification_policy(POLICY_TEXT, PATH)

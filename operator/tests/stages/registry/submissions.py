@@ -43,7 +43,11 @@ def specification(version: str = "0.1.0", **changes: Any) -> dict[str, Any]:
 
 
 def chart(
-    name: str = "relay", version: str = "0.1.0", text: str = "kind: ConfigMap\n", **changes: Any
+    name: str = "relay",
+    version: str = "0.1.0",
+    text: str = "kind: ConfigMap\n",
+    image: str = IMAGE,
+    **changes: Any,
 ) -> tuple[PackedChart, dict[str, Any]]:
     """A packed chart and the spec of its entry; another `text` is another digest."""
     spec = specification(version, **changes)
@@ -53,7 +57,7 @@ def chart(
         "values.yaml": b"rate: 10\n",
         "values.schema.json": json.dumps(SCHEMA).encode(),
         "templates/object.yaml": text.encode(),
-        "images.yaml": f"ros: {IMAGE}\n".encode(),
+        "images.yaml": f"ros: {image}\n".encode(),
     }
     return pack_chart(name, metadata, files, spec), spec
 

@@ -53,7 +53,7 @@ MISTAKES: Mapping[str, Mistake] = {
         alone=False,
     ),
     "unused-input": Mistake(
-        {NODE: [('settings["input"], publisher.publish, QOS', 'settings["input"], lambda message: None, QOS')]},
+        {NODE: [('settings["input"], answering(publisher), QOS', 'settings["input"], lambda message: None, QOS')]},
         "ros in /first/in leads to an output",
         "after messages (std_msgs/msg/String) were sent to /first/in nothing was seen",
         "use the input, or correct `causes` of interface input",

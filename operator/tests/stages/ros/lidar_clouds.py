@@ -14,11 +14,18 @@ OWN = scene.Place(0.0, -4.0, 0.0)
 NOWHERE = scene.Place(0.0, 10_000.0, 0.0)
 
 
-def cloud(*others: scene.Place, stamp: int = 1, points: int = 20_000, seed: int = 1, own: scene.Place = OWN) -> bytes:
+def cloud(
+    *others: scene.Place,
+    stamp: int = 1,
+    points: int = 20_000,
+    seed: int = 1,
+    own: scene.Place = OWN,
+    frame: str = FRAME,
+) -> bytes:
     """A serialised PointCloud2 of the lidar on a vehicle at `own`, with others at these places."""
     rays = scene.ray_directions(points)
     noise = np.random.default_rng(seed).standard_normal(len(rays), np.float32) * np.float32(scene.NOISE_M)
-    return messages.CloudWriter(FRAME, len(rays)).message(
+    return messages.CloudWriter(frame, len(rays)).message(
         stamp, scene.cast(rays, MOUNT, own, others or [NOWHERE], noise)
     )
 

@@ -1,4 +1,4 @@
-"""A ROS domain of this test process's own: nodes of other test processes beside it are never heard."""
+"""ROS domains of this test process's own: nodes of other test processes beside it are never heard."""
 
 import atexit
 import functools
@@ -9,8 +9,8 @@ DOMAINS = range(100, 200)
 
 
 @functools.cache
-def domain() -> str:
-    """For ROS_DOMAIN_ID; reserved on this machine until the process ends."""
+def domain(name: str = "") -> str:
+    """For ROS_DOMAIN_ID, one for each name; reserved on this machine until the process ends."""
     for offset in range(len(DOMAINS)):
         number = DOMAINS[(os.getpid() + offset) % len(DOMAINS)]
         reservation = socket.socket(socket.AF_UNIX)

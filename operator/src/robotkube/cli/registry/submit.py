@@ -18,13 +18,16 @@ from typing import Any
 
 from robotkube.cli.output import Table
 from robotkube.cli.platform import Platform
-from robotkube.errors import InputError
+from robotkube.cli.registry.result_lines import ResultLines
+from robotkube.errors import InputError, RobotKubeError
+from robotkube.foundation.documents.core.times import time_text
 from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter
 from robotkube.foundation.forge.adapters.hosts.gitea import GiteaForge
 from robotkube.foundation.forge.ports.pull_requests import PullRequest
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.evidence.core.statements import NONE
 from robotkube.registry.publication.adapters import submission_folders as folders
+from robotkube.registry.publication.core.report_results import ReportedResult
 from robotkube.registry.publication.core.submissions import SubmittedChart
 from robotkube.registry.publication.loops.submitting import PLANNED, REFUSED, SubmissionOutcome, Submitting
 from robotkube.registry.publication.ports import SubmittedSources
@@ -32,6 +35,7 @@ from robotkube.registry.publication.ports import SubmittedSources
 CATALOGUE = "robotkube/catalogue"
 ACCOUNT = "publisher"
 WAIT_SECONDS = 1800.0
+IMAGES_HELP = "YAML: image name -> reference by digest (default: images.yaml of the catalogue's sources)"
 
 
 @dataclass(frozen=True)
@@ -50,12 +54,15 @@ def submitting(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--all", action="store_true", help="all charts and applications of the folders")
     parser.add_argument("--charts", dest="charts_folder", type=Path, default=Path("charts/apps"), metavar="FOLDER")
     parser.add_argument("--registry", type=Path, default=Path("registry"), metavar="FOLDER", help="catalogue's sources")
-    parser.add_argument("--images", type=Path, metavar="FILE", help="YAML: image name -> reference by digest")
+    parser.add_argument("--images", type=Path, metavar="FILE", help=IMAGES_HELP)
     choosing_forge(parser)
     parser.add_argument(
         "--kept", type=Path, metavar="FOLDER", help="reuse and keep evidence here, for the same digests"
     )
     parser.add_argument("--wait", type=float, default=WAIT_SECONDS, metavar="SECONDS", help="for the gate's verdict")
+    parser.add_argument(
+        "--watch", action="store_true", help="write each suite's result to stdout as it comes, the verdict last"
+    )
     parser.add_argument("--again", action="store_true", help="also what is published, such as after a change of keys")
     parser.add_argument("--dry-run", action="store_true", help="only show what would be submitted")
 
@@ -67,8 +74,8 @@ def choosing_forge(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--password-file", type=Path, metavar="FILE", help="file with its password")
 
 
-def submit(options: argparse.Namespace) -> Table:
-    """Submit charts and applications; a row for each."""
+def submit(options: argparse.Namespace) -> Table | None:
+    """Submit charts and applications; a row for each. With --watch a line for each result instead."""
     if not (options.charts or options.application or options.all):
         raise InputError("nothing to submit: name charts, applications (--application NAME), or --all")
     access, images = _access(options)
@@ -76,12 +83,26 @@ def submit(options: argparse.Namespace) -> Table:
     applications = folders.all_applications(options.registry) if options.all else options.application
     folders.check_sources(names, applications, options.charts_folder, options.registry)
     sources = folders.read_sources(names, applications, options.charts_folder, options.registry, images, options.kept)
-    outcome = submit_sources(access, sources, _write_line, options.wait, options.dry_run, options.again)
+    lines = ResultLines(options.output, sys.stdout, lambda: time_text(time.time_ns())) if options.watch else None
+    outcome = submit_sources(
+        access,
+        sources,
+        _write_line,
+        options.wait,
+        options.dry_run,
+        options.again,
+        report_result=lines.result if lines else None,
+    )
     if options.kept:
         folders.write_kept(options.kept, outcome.evidence)
     if outcome.text:
         print(outcome.text, file=sys.stderr)
-    return _table(outcome)
+    if lines is None:
+        return _table(outcome)
+    lines.verdict(outcome.verdict, outcome.url)
+    if outcome.verdict == REFUSED:
+        raise RobotKubeError(_refusal(outcome))
+    return None
 
 
 def submit_sources(
@@ -92,16 +113,20 @@ def submit_sources(
     dry_run: bool = False,
     again: bool = False,
     opened: Callable[[PullRequest], None] = lambda pull: None,
+    report_result: Callable[[ReportedResult], None] | None = None,
 ) -> SubmissionOutcome:
     """Submit to the forge and wait for the verdict: the command without reading sources and showing results. `opened`
-    is called with the pull request before the verdict is waited for."""
-    with _connected(access, report_line, opened) as submitter:
+    is called with the pull request before the verdict is waited for, `report_result` with each suite's result."""
+    with _connected(access, report_line, opened, report_result) as submitter:
         return submitter.submit(sources, wait_seconds, dry_run, again)
 
 
 @contextmanager
 def _connected(
-    access: ForgeAccess, report_line: Callable[[str], None], opened: Callable[[PullRequest], None]
+    access: ForgeAccess,
+    report_line: Callable[[str], None],
+    opened: Callable[[PullRequest], None],
+    report_result: Callable[[ReportedResult], None] | None,
 ) -> Iterator[Submitting]:
     account = (access.username, access.password)
     with (
@@ -113,7 +138,16 @@ def _connected(
         forge = GiteaForge(access.url, CATALOGUE, *account)
         try:
             yield Submitting(
-                clone, writer, forge, oci_registry, access.username, time.monotonic, time.sleep, report_line, opened
+                clone,
+                writer,
+                forge,
+                oci_registry,
+                access.username,
+                time.monotonic,
+                time.sleep,
+                report_line,
+                opened,
+                report_result=report_result,
             )
         finally:
             forge.disconnect()
@@ -121,10 +155,11 @@ def _connected(
 
 def _access(options: argparse.Namespace) -> tuple[ForgeAccess, dict[str, str]]:
     """The forge, and references of images: the cluster's, overridden by those of the file."""
-    given = folders.read_images(options.images) if options.images else {}
+    given = folders.known_images(options.images, options.registry)
     if options.forge_url:
         return forge_access(options), given
-    return forge_access(options), {**Platform(options).images(), **given}
+    platform = Platform(options)
+    return forge_access(options), {**platform.images(), **platform.service_images(), **given}
 
 
 def forge_access(options: argparse.Namespace) -> ForgeAccess:
@@ -151,8 +186,12 @@ def _table(outcome: SubmissionOutcome) -> Table:
         for path in outcome.applications
     ]
     rows += [{"kind": "chart", "name": name, "verdict": "unchanged"} for name in outcome.unchanged]
-    refusal = f"refused by the gate, see its report above and at {outcome.url}" if outcome.verdict == REFUSED else ""
+    refusal = _refusal(outcome) if outcome.verdict == REFUSED else ""
     return Table("submitted", ("kind", "name", "verdict", "digest", "evidence"), rows, refusal=refusal)
+
+
+def _refusal(outcome: SubmissionOutcome) -> str:
+    return f"refused by the gate, see its report above and at {outcome.url}"
 
 
 def _row(chart: SubmittedChart, outcome: SubmissionOutcome) -> dict[str, Any]:

@@ -15,8 +15,9 @@ from robotkube.cli.output import Table
 from robotkube.cli.platform import Platform
 from robotkube.cli.tasks.listing import row, state
 from robotkube.delivery.tasks.core.mqtt_messages import own_event
-from robotkube.delivery.tasks.core.task_description import GROUP, POSTPONED, VERSION
-from robotkube.errors import DocumentError, InputError, RefusalError
+from robotkube.delivery.tasks.core.refusal_outlooks import without_outlook
+from robotkube.delivery.tasks.core.task_description import GROUP, INVALID_PARAMETERS, POSTPONED, VERSION
+from robotkube.errors import DocumentError, InputError, RefusalError, UnavailableError
 from robotkube.foundation.documents.core.patterns import PARAMETER_KEY
 from robotkube.foundation.documents.core.times import time_text
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
@@ -181,8 +182,22 @@ def _write(platform: Platform, document: Mapping[str, Any], dry_run: bool) -> st
     spec = {**document["spec"], **{key: present_spec[key] for key in ("event", "chain") if key in present_spec}}
     if spec == present_spec:
         return "unchanged"
+    _check_change(platform, {**document, "spec": spec})
     writer.patch_spec(metadata["namespace"], metadata["name"], spec)
     return "changed"
+
+
+def _check_change(platform: Platform, document: Mapping[str, Any]) -> None:
+    """RefusalError when the manager would refuse the parameters: what runs for the task would be withdrawn. Where no
+    manager can be asked, it decides later."""
+    try:
+        answer = platform.explain(document)
+    except (InputError, UnavailableError) as error:
+        print(f"changed without asking the manager first: {error}", file=sys.stderr)
+        return
+    if answer["outcome"] == "Refused" and answer["reason"] == INVALID_PARAMETERS:
+        words = without_outlook(INVALID_PARAMETERS, answer["message"])
+        raise RefusalError(INVALID_PARAMETERS, f"{words}. Nothing was changed, and what runs for the task goes on")
 
 
 def _wait(platform: Platform, key: str, seconds: float) -> Table:
@@ -201,6 +216,7 @@ def _wait(platform: Platform, key: str, seconds: float) -> Table:
         if now and ready.get("status") == "True":
             return Table("task", (), [row(task)], single=True)
         if time.monotonic() > end:
-            text = f"not ready within {seconds:g} s: {state(task)}"
+            why = ready.get("message", "") if now else ""
+            text = f"not ready within {seconds:g} s: {state(task)}{f'; {why}' if why else ''}"
             return Table("task", (), [row(task)], single=True, unreachable=text)
         time.sleep(POLL_SECONDS)

@@ -12,7 +12,7 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from robotkube.delivery.inspection.adapters.kubelets import Kubelets
+from robotkube.delivery.inspection.adapters.kubelets import RIGHT, Kubelets
 from robotkube.delivery.inspection.adapters.kubernetes_inspections import KubernetesInspections
 from robotkube.delivery.inspection.adapters.kubernetes_workloads import KubernetesWorkloads
 from robotkube.delivery.inspection.loops.inspector import Inspector
@@ -22,6 +22,7 @@ from robotkube.delivery.inspection.loops.release_shapes import ReleaseShapes
 from robotkube.delivery.inspection.loops.reporting import Reporter
 from robotkube.delivery.inspection.settings import InspectorConfiguration, read_configuration
 from robotkube.foundation.kubernetes.adapters.http_client import ACCOUNT_FOLDER, ApiServer
+from robotkube.foundation.kubernetes.adapters.kubelet_client import KubeletClient
 from robotkube.foundation.runtime import settings_file as files
 from robotkube.foundation.runtime.adapters.health_server import HealthServer
 from robotkube.foundation.runtime.adapters.prometheus_series import MetricsPage
@@ -58,7 +59,8 @@ def build_inspector(
 ) -> Inspector:
     """The inspector on the cluster's adapters; nothing is asked of it yet."""
     authority = api.authority_file if configuration.verify else None
-    nodes = Kubelets(api, authority, api.token_file or ACCOUNT_FOLDER / "token")
+    client = KubeletClient(RIGHT, authority, api.token_file or ACCOUNT_FOLDER / "token")
+    nodes = Kubelets(api, client)
     looks = (NodeLooks(time.time), ReleaseLooks(KubernetesWorkloads(api)))
     return Inspector(nodes, looks, source, reporter, time.monotonic)
 

@@ -7,12 +7,13 @@ The clones of the repositories are below ROBOTKUBE_WORK (default /tmp/manager); 
 
 from __future__ import annotations
 
+import functools
 import logging
 import os
 import socket
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -22,23 +23,33 @@ from kubernetes.client import ApiClient
 
 from robotkube.delivery.manager.adapters.argocd import ArgoCDServer
 from robotkube.delivery.manager.adapters.kubernetes_cluster import KubernetesCluster
+from robotkube.delivery.manager.core.broken_links import BrokenLinks, broken_links
 from robotkube.delivery.manager.core.placement.placement import Agent
 from robotkube.delivery.manager.loops.explain import Explainer
 from robotkube.delivery.manager.loops.main_reader import MainReader
 from robotkube.delivery.manager.loops.planner import ManagerSettings, Planner
 from robotkube.delivery.manager.loops.proposals.plan_observer import PlanObserver
-from robotkube.delivery.manager.loops.reconciler import CATALOGUE, DEPLOYMENT, NODES, TASKS, ApplicationManager
+from robotkube.delivery.manager.loops.reconciler import (
+    APPLICATIONS,
+    CATALOGUE,
+    DEPLOYMENT,
+    NODES,
+    TASKS,
+    ApplicationManager,
+)
 from robotkube.delivery.manager.loops.verified_images import VerifiedImages
 from robotkube.delivery.manager.ports.manager_ports import ManagerPorts
 from robotkube.delivery.manager.scope_settings import read_operators, read_seconds
-from robotkube.delivery.manager.task_gateways import STOP_SECONDS_MAX, BrokerSettings, read_broker, task_gateway
+from robotkube.delivery.manager.task_gateways import STOP_SECONDS_MAX, task_gateway
 from robotkube.delivery.manager.telemetry import ManagerTelemetry, read_traces
 from robotkube.delivery.tasks.loops.device_holds import DeviceHolds
+from robotkube.delivery.tasks.loops.link_reports import LinkReports
 from robotkube.delivery.tasks.loops.mqtt_gateway import MqttTaskGateway, gateway_metrics
 from robotkube.errors import UnavailableError
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.foundation.documents.core.patterns import CHARTS_URL, HTTP_URL, WORD
 from robotkube.foundation.documents.core.reader import Reader
+from robotkube.foundation.forge.adapters.git.notes import GitNotes
 from robotkube.foundation.forge.adapters.push_hooks import ObjectsRelay, SignedPushHook
 from robotkube.foundation.forge.connect import ForgeSettings, read_forge
 from robotkube.foundation.kubernetes.adapters.client import api_client
@@ -58,6 +69,9 @@ from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.charts.loops.release_images import ReleaseImages
 from robotkube.registry.charts.ports import ChartProgram
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
+from robotkube.robots.bridge.core.link_reports import LinkReport
+from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
+from robotkube.robots.mqtt.broker_settings import read_broker
 
 GRACE_SECONDS = 5.0
 SYNC_SECONDS_MAX = 60.0
@@ -85,7 +99,7 @@ class ManagerConfiguration:
     gate_objects_url: str
     lease_namespace: str
     lease_name: str
-    broker: BrokerSettings | None
+    broker: BrokerAccount | None
     evidence_keys: Path
     traces: str
     manager: ManagerSettings
@@ -118,7 +132,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
         gate_objects_url=reader.word(gate.get("objects"), "gate.objects", HTTP_URL, default=""),
         lease_namespace=reader.word(lease.get("namespace"), "lease.namespace", WORD),
         lease_name=reader.word(lease.get("name"), "lease.name", WORD),
-        broker=read_broker(reader, root.get("broker")),
+        broker=read_broker(reader, root["broker"]) if root.get("broker") is not None else None,
         evidence_keys=Path(reader.word(evidence.get("keys"), "evidence.keys", files.PATH)),
         traces=read_traces(reader, root.get("traces")),
         manager=ManagerSettings(
@@ -166,6 +180,7 @@ def build_manager(
     leadership: Leadership,
     holds: DeviceHolds,
     renderer: ChartProgram | None = None,
+    links: Callable[[], Sequence[LinkReport]] = tuple,
 ) -> ApplicationManager:
     """The manager on its adapters; nothing is asked of the forge yet. Without a `renderer` it proposes what the gate
     alone looks at."""
@@ -181,7 +196,9 @@ def build_manager(
     )
     clone = access.clone(access.catalogue, work / "catalogue")
     catalogue = AssuredCatalogue(clone, TrustedKeys(configuration.evidence_keys))
-    main = MainReader(deployment)
+    account = access.account
+    notes = GitNotes(access.address.url, access.deployment, account.username, account.password, work / "notes")
+    main = MainReader(deployment, notes)
     deployment_url = f"{access.address.url}/{access.deployment}"
     signed = configuration.hook_secret.encode()
     hook = SignedPushHook(configuration.hook_url, signed, deployment_url, branch=access.branch)
@@ -194,7 +211,8 @@ def build_manager(
         VerifiedImages(images),
     )
     observer = PlanObserver(cluster, argocd, BackgroundCall(), time.time_ns, time.monotonic)
-    ports = ManagerPorts(cluster, cluster, deployment, proposals, forge, leadership, access.account.username)
+    broken = functools.partial(_broken_links, links, cluster)
+    ports = ManagerPorts(cluster, cluster, deployment, proposals, forge, leadership, access.account.username, broken)
     sweeper = Sweeper(time.monotonic)
     return ApplicationManager(ports, catalogue, main, planner, observer, time.time_ns, time.monotonic, sweeper)
 
@@ -240,9 +258,10 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     schemas = BoundedSchemas()
     election = _election(configuration, api, waker, environment)
     holds = DeviceHolds(time.time_ns, lambda: waker(NODES))
+    links = LinkReports(lambda: waker(APPLICATIONS))
     renderer = renderer_of(environment)
-    manager = build_manager(configuration, cluster, work, schemas, election, holds, renderer)
-    gateway = _task_gateway(configuration, api, cluster, election, holds)
+    manager = build_manager(configuration, cluster, work, schemas, election, holds, renderer, links)
+    gateway = _task_gateway(configuration, api, cluster, election, holds, links)
     names = [agent.name for agent in configuration.manager.agents]
     account = configuration.forge.account.username
     telemetry = ManagerTelemetry(manager, cluster, cluster, names, holds, configuration.traces, account)
@@ -288,13 +307,19 @@ def _task_gateway(
     cluster: KubernetesCluster,
     leadership: Leadership,
     holds: DeviceHolds,
+    links: LinkReports,
 ) -> MqttTaskGateway | None:
     """The MQTT task gateway for the agents of this manager's scope; None when the settings name no broker."""
     scope = configuration.manager.operators.manager
     agents = [agent for agent in configuration.manager.agents if scope.covers_agent(agent.name)]
     operators = {agent.name: agent.namespace for agent in agents}
     broker = configuration.broker
-    return task_gateway(broker, operators, api, cluster, leadership, holds) if broker else None
+    return task_gateway(broker, operators, api, cluster, leadership, holds, links) if broker else None
+
+
+def _broken_links(links: Callable[[], Sequence[LinkReport]], cluster: KubernetesCluster) -> BrokenLinks:
+    """The links that bridges report as broken, as far as the cluster shows the processes that do."""
+    return broken_links(links(), cluster.pods)
 
 
 def _stop_with(process: Process, manager: ApplicationManager) -> None:
@@ -338,7 +363,11 @@ def build_server(
         metrics,
         configuration.webhook_secret.encode(),
         deliver,
-        {"/plans": manager.records.as_json, "/catalogue": manager.catalogue_page},
+        {
+            "/plans": manager.records.as_json,
+            "/catalogue": manager.catalogue_page,
+            "/updates": manager.statistics.updates_page,
+        },
         posts={"/explain": Explainer(manager.what_if, cluster)},
         forward=leader,
         health_port=configuration.listen.health_port,

@@ -51,6 +51,7 @@ class ManagerTelemetry:
             frozenset(agents),
             broken=lambda: statistics.broken_files,
             holds=held,
+            updates=lambda: statistics.updates.states,
             leading=lambda: statistics.term > 0,
         )
         metrics = PrometheusMetrics(gauges.read)

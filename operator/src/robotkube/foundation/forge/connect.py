@@ -61,13 +61,13 @@ class ForgeAddress:
 
 @dataclass(frozen=True)
 class ForgeSettings:
-    """A forge as one process uses it: by its account there, the branch `branch` of these repositories. `deployment` is
-    empty where a process does not use it."""
+    """A forge as one process uses it: by its account there, the branch `branch` of these repositories. One that a
+    process does not use is empty."""
 
     address: ForgeAddress
     account: files.Credentials
     branch: str
-    catalogue: str
+    catalogue: str = ""
     deployment: str = ""
 
     def clone(self, repository: str, folder: Path) -> GitClone:
@@ -79,9 +79,16 @@ class ForgeSettings:
         return self.address.pull_requests(repository, self.account, self.branch)
 
 
-def read_forge(reader: Reader, value: Any, deployment: bool = True, more: Iterable[str] = ()) -> ForgeSettings:
-    """The settings' `forge`, with the key `deployment` or without; `more` are keys that the caller reads."""
-    repositories = ["catalogue", *(["deployment"] if deployment else [])]
+def read_forge(
+    reader: Reader,
+    value: Any,
+    deployment: bool = True,
+    more: Iterable[str] = (),
+    catalogue: bool = True,
+) -> ForgeSettings:
+    """The settings' `forge`, with the keys `deployment` and `catalogue` or without; `more` are keys that the caller
+    reads."""
+    repositories = [*(["catalogue"] if catalogue else []), *(["deployment"] if deployment else [])]
     forge = reader.mapping(
         value or {}, "forge", ["url", "credentials", "branch", *repositories, *more], ["kind", "api"]
     )

@@ -84,17 +84,6 @@ def _words(reader: Reader, value: Any, path: str) -> tuple[str, ...]:
     return tuple(sorted(reader.word(item, f"{path}[{index}]", WORD) for index, item in items))
 
 
-def changed_main(delivery: WebhookDelivery, catalogue: str, branch: str) -> str | None:
-    """Main's new tip when a delivery says that the catalogue's main moved (empty when it does not name it); else
-    None."""
-    if delivery.repository != catalogue or delivery.event != "push":
-        return None
-    if delivery.payload.get("ref") != f"refs/heads/{branch}":
-        return None
-    tip = delivery.payload.get("after")
-    return tip if isinstance(tip, str) else ""
-
-
 class AdmissionWriter:
     """The process's parts on their adapters; nothing is asked or written before `run`."""
 
@@ -135,7 +124,7 @@ class AdmissionWriter:
 
     def _deliver(self, delivery: WebhookDelivery) -> None:
         forge = self._configuration.forge
-        tip = changed_main(delivery, forge.catalogue, forge.branch)
+        tip = delivery.moved_to(forge.catalogue, forge.branch)
         if tip is not None:
             self.follower.wake(tip)
 

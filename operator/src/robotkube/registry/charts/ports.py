@@ -3,7 +3,7 @@ programs that render them."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -21,7 +21,15 @@ class Attachment:
     annotations: Mapping[str, str]
 
 
-class ChartRegistry(Protocol):
+class PulledCharts(Protocol):
+    """Where charts are got by their digest."""
+
+    def pull_chart(self, repository: str, digest: str) -> PulledChart:
+        """The chart of that digest, unpacked in memory within fixed bounds."""
+        ...
+
+
+class ChartRegistry(PulledCharts, Protocol):
     """One OCI registry. `repository` is `<organisation>/<chart>`, digests are `sha256:<hex>`.
 
     UnavailableError: the OCI registry does not answer; a caller may try again. InputError: what was asked for is not
@@ -30,10 +38,6 @@ class ChartRegistry(Protocol):
 
     def manifest_digest(self, repository: str, reference: str) -> str | None:
         """The digest of the manifest that a tag or digest names; None if there is none."""
-        ...
-
-    def pull_chart(self, repository: str, digest: str) -> PulledChart:
-        """The chart of that digest, unpacked in memory within fixed bounds."""
         ...
 
     def attach(
@@ -56,6 +60,16 @@ class ChartRegistry(Protocol):
         or when a named attachment is not attached."""
         ...
 
+    def copy_image(self, source: str, target: str, digest: str, artifact_type: str) -> None:
+        """Copy the image `digest` from repository `source` to `target`, with what of `artifact_type` is attached to it.
+        The same again changes nothing. InputError when `source` does not have it."""
+        ...
+
+    def remove_image(self, repository: str, digest: str) -> None:
+        """Remove the image `digest` with all that is attached to it; one that is not there is success. Of an index the
+        images stay, which other indexes may have."""
+        ...
+
 
 class ImageRegistry(Protocol):
     """Container images as the images suite reads them; errors as those of ChartRegistry."""
@@ -66,6 +80,10 @@ class ImageRegistry(Protocol):
 
     def blob(self, repository: str, digest: str, bytes_max: int) -> bytes:
         """A blob of at most `bytes_max` bytes."""
+        ...
+
+    def blob_pieces(self, repository: str, digest: str, bytes_max: int) -> Iterator[bytes]:
+        """A blob of at most `bytes_max` bytes, piece by piece; its end is only reached when the digest is right."""
         ...
 
     def attachments(self, repository: str, subject: str) -> Sequence[Attachment]:

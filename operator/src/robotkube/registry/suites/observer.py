@@ -20,13 +20,14 @@ from typing import Any
 from robotkube.errors import InputError
 from robotkube.foundation.database.adapters.connection import DatabaseLogin, connect
 from robotkube.foundation.documents.core.json_codec import read_json
-from robotkube.foundation.runtime.process import PodSettings, Process, read_secret, read_text, run
+from robotkube.foundation.runtime.process import PodSettings, Process, read_text, run
 from robotkube.registry.catalogue.core.expected_topics import MQTT, TEXT, ExpectedTopic
 from robotkube.registry.suites.adapters.broker_observer import PahoObserver
 from robotkube.registry.suites.adapters.database_observer import PymongoCollections
 from robotkube.registry.suites.core.interface_observations import Observation
 from robotkube.registry.suites.loops.interface_observer import InterfaceObserver, ObserverPorts, ObserverTimeouts
 from robotkube.robots.bags.core.playback import restamped
+from robotkube.robots.mqtt.adapters.broker_account import read_broker_account
 from robotkube.robots.mqtt.core.batches import encode_batch
 from robotkube.robots.ros.adapters.message_classes import default_message, type_mismatch
 from robotkube.robots.ros.adapters.rclpy_node import RosNode
@@ -101,9 +102,7 @@ def read_config(text: str, where: str) -> Mapping[str, Any]:
 
 def broker(client_id: str) -> PahoObserver:
     """Connected to the broker of the mounted Secret."""
-    folder = PodSettings.from_environment().broker_folder
-    host, port, username, password = (read_secret(folder, key) for key in ("host", "port", "username", "password"))
-    return PahoObserver(host, int(port), username, password, client_id)
+    return PahoObserver(read_broker_account(PodSettings.from_environment().broker_folder), client_id)
 
 
 def write(observation: Observation) -> None:

@@ -6,10 +6,9 @@ import functools
 import json
 import os
 import random
-import secrets
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -17,25 +16,29 @@ from robotkube.backoffs import backoff
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.database.adapters.accounts import MongoAccounts
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
-from robotkube.foundation.documents.adapters.json_schema import violations
 from robotkube.foundation.documents.core.digests import canonical_json
 from robotkube.foundation.kubernetes.adapters.client import api_client, call
+from robotkube.foundation.kubernetes.adapters.http_client import ACCOUNT_FOLDER
+from robotkube.foundation.kubernetes.adapters.kubelet_client import KubeletClient
 from robotkube.foundation.runtime import settings_file as files
 from robotkube.foundation.runtime.process import Process
 from robotkube.registry.charts.adapters.helm import HelmProgram
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.evidence.core.statements import SuiteResult
 from robotkube.registry.evidence.core.verification_policy import SuiteRule
+from robotkube.registry.suites.adapters.kubelet_memory import RIGHT, TIMEOUT_SECONDS, KubeletMemory
 from robotkube.registry.suites.adapters.namespace_objects import KubernetesNamespaceObjects
+from robotkube.registry.suites.cluster_suites import install_suite, interface_suite
 from robotkube.registry.suites.core.requests import SuiteProgress, SuiteRequest, progress_document, read_request
 from robotkube.registry.suites.loops.cluster_namespace import ClusterTestNamespace
 from robotkube.registry.suites.loops.custom import CustomSuite
 from robotkube.registry.suites.loops.images import ImagesSuite
 from robotkube.registry.suites.loops.install import InstallSuite
+from robotkube.registry.suites.loops.installed.memory_sampling import MemoryWatch
 from robotkube.registry.suites.loops.interface import InterfaceSuite
 from robotkube.registry.suites.loops.run import NO_NAMESPACE, read_subject, run_suite, unfinished
-from robotkube.registry.suites.loops.soak import Soak
 from robotkube.registry.suites.loops.static import StaticSuite
+from robotkube.registry.suites.plain_suites import images_suite, static_suite
 from robotkube.registry.suites.ports.suites import Subject, Suite, SuiteAccount
 from robotkube.registry.suites.settings import FORMER_KEYS, RunnerConfiguration, read_configuration
 
@@ -75,19 +78,22 @@ def run(configuration: RunnerConfiguration, request: SuiteRequest, namespace: st
 
 def find_suite(configuration: RunnerConfiguration, rule: SuiteRule, oci_registry: OciRegistry) -> Suite | None:
     """The suite that a rule names; None when there is none."""
-    render = Jinja2Templates().render
     if rule.image:
-        return CustomSuite(rule, render, time.time_ns)
-    host = urlsplit(configuration.images_registry).netloc
-    token = functools.partial(secrets.token_hex, 8)
-    soak = Soak(configuration.observer_image, render, token, rule.soak_seconds)
-    known: tuple[Suite, ...] = (
-        StaticSuite(violations, render),
-        ImagesSuite(oci_registry, host, render),
-        InterfaceSuite(configuration.observer_image, render, time.time_ns, token),
-        InstallSuite(render, time.time_ns, soak),
-    )
-    return next((suite for suite in known if suite.name == rule.name), None)
+        return CustomSuite(rule, Jinja2Templates().render, time.time_ns)
+    observer = configuration.observer_image
+    known: dict[str, Callable[[], Suite]] = {
+        StaticSuite.name: static_suite,
+        ImagesSuite.name: lambda: images_suite(oci_registry, urlsplit(configuration.images_registry).netloc),
+        InterfaceSuite.name: lambda: interface_suite(observer),
+        InstallSuite.name: lambda: install_suite(observer, rule.soak_seconds, _memory(configuration, rule)),
+    }
+    return known[rule.name]() if rule.name in known else None
+
+
+def _memory(configuration: RunnerConfiguration, rule: SuiteRule) -> MemoryWatch:
+    authority = ACCOUNT_FOLDER / "ca.crt" if configuration.verify_kubelets else None
+    kubelets = KubeletClient(RIGHT, authority, timeout_seconds=TIMEOUT_SECONDS)
+    return MemoryWatch(KubeletMemory(kubelets), rule.memory_growth_percent, time.time)
 
 
 def _check_repositories(configuration: RunnerConfiguration, request: SuiteRequest) -> None:

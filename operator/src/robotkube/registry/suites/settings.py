@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from robotkube.foundation.certificates.adapters.issuing import throw_away
 from robotkube.foundation.documents.core.former_keys import FormerKey
 from robotkube.foundation.documents.core.patterns import CHARTS_URL, HTTP_URL, IMAGE, NAME
 from robotkube.foundation.documents.core.reader import Reader
@@ -33,12 +34,13 @@ class RunnerConfiguration:
     token: str
     test_namespaces: tuple[SuiteNamespaceSettings, ...]
     observer_image: str
+    verify_kubelets: bool = True
 
 
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> RunnerConfiguration:
     """The settings document of the suite-runner."""
     keys = ["listen", "log_level", "forge", "oci_registry", "token", "test_namespaces", "agent", "images", "database"]
-    root = reader.mapping(document, "", [*keys, "platform_namespace"])
+    root = reader.mapping(document, "", [*keys, "platform_namespace"], ["kubelets", "tls"])
     forge = reader.mapping(root.get("forge") or {}, "forge", ["url", "credentials"])
     oci_registry = reader.mapping(root.get("oci_registry") or {}, "oci_registry", ["staging", "verified", "images"])
     images = reader.mapping(root.get("images") or {}, "images", ["observer", "broker", "database"])
@@ -53,7 +55,15 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> RunnerCon
         token=files.secret(reader, root.get("token"), "token"),
         test_namespaces=_test_namespaces(reader, root, images),
         observer_image=reader.word(images.get("observer"), "images.observer", IMAGE),
+        verify_kubelets=_verify_kubelets(reader, root.get("kubelets") or {}),
     )
+
+
+def _verify_kubelets(reader: Reader, value: Any) -> bool:
+    verify = reader.mapping(value, "kubelets", [], ["verify"]).get("verify", True)
+    if not isinstance(verify, bool):
+        reader.problems.append("kubelets.verify: must be true or false")
+    return verify is not False
 
 
 def _test_namespaces(
@@ -65,6 +75,7 @@ def _test_namespaces(
     if kind not in DATABASES:
         reader.problems.append("database.kind: must be mongo, ferretdb or empty")
     arguments = tuple(str(word) for word in reader.sequence(database.get("arguments"), "database.arguments"))
+    tls = reader.truth(root.get("tls", False), "tls")
     items = reader.sequence(root.get("test_namespaces"), "test_namespaces")
     if len(items) > TEST_NAMESPACES_MAX:
         reader.problems.append(f"test_namespaces: more than {TEST_NAMESPACES_MAX}")
@@ -77,6 +88,7 @@ def _test_namespaces(
             database_kind=str(kind or ""),
             database_image=reader.word(images.get("database") or None, "images.database", IMAGE, default=""),
             database_arguments=arguments,
+            certify=throw_away if tls else None,
         )
         for index, item in enumerate(items[:TEST_NAMESPACES_MAX])
     )

@@ -9,6 +9,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,19 +18,26 @@ from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.runtime.adapters.health_server import HealthServer
 from robotkube.foundation.runtime.config_watch import fencing_of, watch_settings
 from robotkube.foundation.runtime.loops.fencing import Fencing
-from robotkube.foundation.runtime.process import PodSettings, Process, read_secret, read_text, run
-from robotkube.robots.bridge.core.settings import BULK, check_agent, read_bridge_settings
+from robotkube.foundation.runtime.loops.settings_report import SettingsReport
+from robotkube.foundation.runtime.process import PodSettings, Process, read_text, run
+from robotkube.robots.bridge.core.settings import BULK, SAFETY, TELEMETRY, check_agent, read_bridge_settings
 from robotkube.robots.bridge.loops.bridge import NODE_NAME, Bridge
 from robotkube.robots.bridge.loops.flows import SendingSession
-from robotkube.robots.mqtt.adapters.paho_channel import BrokerAccount, PahoChannel, wait
+from robotkube.robots.bridge.loops.link_reporting import LinkReporting
+from robotkube.robots.mqtt.adapters.broker_account import read_broker_account
+from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel, wait
 from robotkube.robots.ros.adapters.rclpy_node import RosNode
 
 if TYPE_CHECKING:
+    from robotkube.foundation.kubernetes.adapters.http_client import ConfigMapWatch
     from robotkube.robots.mqtt.ports import ChannelEvents
 
 GRACE_SECONDS = 2.0
 PERIOD_SECONDS = 0.04
-SESSION_SECONDS = {"telemetry": 60, BULK: 5}
+YIELD_SECONDS = 0.01
+SESSION_SECONDS = {SAFETY: 5, TELEMETRY: 60, BULK: 5}
+PROMPT = (SAFETY, BULK)
+"""Connections that are read as soon as something comes."""
 KEY = "config.yaml"
 
 
@@ -43,16 +51,17 @@ def body(process: Process) -> None:
 
     def channel(agent: str, name: str, events: ChannelEvents) -> PahoChannel:
         client = "-".join([agent, *([pod.placed_node] if pod.placed_node else []), name])
-        channels[name] = PahoChannel(lambda: account(pod), client, SESSION_SECONDS[name], events)
+        account = partial(read_broker_account, pod.broker_folder)  # read anew for each attempt
+        channels[name] = PahoChannel(account, client, SESSION_SECONDS[name], events, bounded=name != SAFETY)
         return channels[name]
 
     sender = SendingSession(session, time.time_ns, definition_of, trace)
     fencing = fencing_of(pod)
-    bridge = Bridge(RosNode(NODE_NAME), channel, sender, process.log, fencing)
+    bridge = Bridge(RosNode(NODE_NAME), channel, sender, process.log, fencing, reporting_of(pod, os.environ))
     settings = SettingsWatch(bridge, process, fencing)
     pages = {"/not_carried": lambda: json.dumps(bridge.not_carried)}
     HealthServer(ready=lambda: settings.complaint, metrics=settings.metrics, pages=pages, port=pod.health_port).start()
-    settings.apply(read_text(pod.config_file, "the bridge's settings"), str(pod.config_file))
+    settings.begin(read_text(pod.config_file, "the bridge's settings"), str(pod.config_file))
     if pod.config_map is not None:
         settings.watch(pod.config_map)
     gc.freeze()
@@ -63,56 +72,59 @@ def body(process: Process) -> None:
 def turn_bridge(
     process: Process, bridge: Bridge, settings: SettingsWatch, channels: Mapping[str, PahoChannel], period: float
 ) -> None:
-    """Turn the bridge every `period` seconds, and a connection with large batches whenever it can go on."""
+    """Turn the bridge every `period` seconds, and its connections whenever one of them can go on."""
     due = time.monotonic()
     while not process.stopping.is_set():
         settings.apply_changes()
         bridge.turn(time.monotonic())
         due = max(due + period, time.monotonic())
         while (left := due - time.monotonic()) > 0:
-            active = [channels[name] for name in bridge.channels]
-            prompt = [channels[BULK]] if BULK in bridge.channels else []
-            writing = [channel for channel in active if channel.wants_write]
-            if not prompt and not writing:
+            prompt = [channels[name] for name in PROMPT if name in bridge.channels]
+            writing = [channels[name] for name in bridge.channels if channels[name].wants_write]
+            yielding = bool(bridge.yielding)
+            if not prompt and not writing and not yielding:
                 time.sleep(left)
-            elif wait(writing, prompt, left):
-                for name in bridge.channels:
-                    bridge.turn_channel(name, time.monotonic())
+            elif wait(writing, prompt, min(left, YIELD_SECONDS) if yielding else left) or yielding:
+                bridge.turn_connections(time.monotonic())
 
 
 class SettingsWatch:
     """Applies settings to the bridge: the mounted file at the beginning, then every change of the ConfigMap. Refused
-    ones leave the old settings active; `complaint` and a metric say so."""
+    ones leave the old settings active; the bridge is not ready then, and a metric says so."""
 
     def __init__(self, bridge: Bridge, process: Process, fencing: Fencing) -> None:
         self._bridge = bridge
         self._process = process
         self._fencing = fencing
         self._changes: deque[tuple[str, str]] = deque(maxlen=1)
-        self._refused: str | None = None
-        self._applied = ""
+        self._report = SettingsReport()
 
     @property
     def complaint(self) -> str | None:
-        """The reason why the bridge is not ready, or None. Refused settings are none while it carries older ones."""
-        if self._bridge.settings is None and self._refused is not None:
-            return self._refused
-        return self._bridge.complaint
+        """The reason why the bridge is not ready, or None."""
+        if self._bridge.settings is None and self._report.refusal:
+            return self._report.refusal
+        return self._report.complaint or self._bridge.complaint
 
     def metrics(self) -> str:
         """The bridge's metrics and the state of its settings."""
-        refused = f"robotkube_settings_refused {int(self._refused is not None)}\n"
-        return f"{self._bridge.metrics()}{refused}{self._fencing.metrics()}"
+        return f"{self._bridge.metrics()}{self._report.metrics()}{self._fencing.metrics()}"
 
-    def watch(self, config_map: str) -> None:
+    def begin(self, text: str, where: str) -> None:
+        """Apply the first settings."""
+        self._report.given(text)
+        self.apply(text, where)
+
+    def watch(self, config_map: str) -> ConfigMapWatch:
         """Watch the ConfigMap from now on."""
         where = f"ConfigMap {config_map}, key {KEY}"
 
         def changed(data: Mapping[str, str]) -> None:
             if KEY in data:
+                self._report.given(data[KEY])
                 self._changes.append((data[KEY], where))
 
-        watch_settings(self._process, config_map, self._fencing, changed)
+        return watch_settings(self._process, config_map, self._fencing, changed)
 
     def apply_changes(self) -> None:
         """Apply the changes that the watch reported, then let the bridge send if it may, on the loop's thread."""
@@ -123,19 +135,18 @@ class SettingsWatch:
 
     def apply(self, text: str, where: str) -> None:
         """Apply settings, or keep the old ones and say why."""
-        if text == self._applied:
+        if text == self._report.at_work:
             return
         try:
             settings = read_bridge_settings(read_mapping(text, where), where)
             check_agent(self._bridge.settings, settings, where)
         except DocumentError as error:
-            self._refused = str(error)
+            self._report.refused(text, str(error))
             self._process.log("settings refused", error=str(error), kept=self._bridge.settings is not None)
             return
-        self._refused = None
-        self._applied = text
         if settings != self._bridge.settings:
             self._bridge.configure(settings)
+        self._report.taken(text)
 
 
 def definition_of(type_name: str) -> str:
@@ -145,15 +156,12 @@ def definition_of(type_name: str) -> str:
     return definition(type_name, Path(sys.prefix) / "share")
 
 
-def account(pod: PodSettings) -> BrokerAccount:
-    """The broker's account from the mounted Secret; InputError names the key."""
-    folder = pod.broker_folder
-    port = read_secret(folder, "port")
-    if not port.isdecimal():
-        raise InputError(f"{folder / 'port'}: {port!r} is no port number")
-    return BrokerAccount(
-        read_secret(folder, "host"), int(port), read_secret(folder, "username"), read_secret(folder, "password")
-    )
+def reporting_of(pod: PodSettings, environment: Mapping[str, str]) -> LinkReporting | None:
+    """The reporting of a release's bridge; None where it is none's, or does not know its pod."""
+    name = environment.get("HOSTNAME", "")
+    if pod.config_map is None or not name:
+        return None
+    return LinkReporting(pod.config_map.rpartition("/")[2], name, time.time_ns())
 
 
 def period_seconds(environment: Mapping[str, str]) -> float:

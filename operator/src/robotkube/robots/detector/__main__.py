@@ -29,6 +29,7 @@ from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.runtime.adapters.health_server import HealthServer
 from robotkube.foundation.runtime.config_watch import fencing_of, watch_settings
+from robotkube.foundation.runtime.loops.settings_report import SettingsReport
 from robotkube.foundation.runtime.process import PodSettings, Process, read_text, run
 from robotkube.robots.detector import wiring
 from robotkube.robots.detector.adapters.expression_checks import CachedExpressionCheck
@@ -40,7 +41,7 @@ from robotkube.robots.detector.loops.dispatching import Dispatcher
 from robotkube.robots.detector.loops.recording import RecordingReactions
 from robotkube.robots.detector.loops.status import DetectorStatus, SettingsRefusal
 from robotkube.robots.reactions.loops.delivery_journal import MEMORY_ONLY
-from robotkube.robots.ros.adapters.rclpy_node import RosNode
+from robotkube.robots.ros.adapters.rclpy_node import RosNode, missing_type
 from robotkube.robots.ros.core.cdr_readers.readers import Layouts
 
 if TYPE_CHECKING:
@@ -101,17 +102,18 @@ class DetectorProcess:
         self._broker: Broker | None = None
         self._journal: DeliveryJournal | None = None
         self._name = pod.config_map or ""
-        self._new_settings: deque[tuple[DetectorSettings, int]] = deque(maxlen=SETTINGS_QUEUED_MAX)
+        self._new_settings: deque[tuple[DetectorSettings, int, str]] = deque(maxlen=SETTINGS_QUEUED_MAX)
         self._commands: deque[tuple[str, int]] = deque(maxlen=COMMANDS_MAX)
         self._expressions = CachedExpressionCheck()
         self._learned_types: deque[str] = deque()
         self._ready = False
         self.refusal = SettingsRefusal()
+        self._report = SettingsReport()
         self._spans = wiring.make_spans(os.environ, self._name)
         self.layouts = Layouts(self._definition)
         self.detector = self._make()
         self.status = DetectorStatus(
-            self.detector, time.time_ns, self.refusal, self._unreachable, self._journal_document
+            self.detector, time.time_ns, self.refusal, self._unreachable, self._journal_document, self._report
         )
 
     def _make(self) -> EventDetector:
@@ -139,7 +141,7 @@ class DetectorProcess:
     def read(self, text: str, where: str) -> DetectorSettings:
         """Read settings from a text; DocumentError has all problems."""
         document = read_mapping(text, where, values=False)
-        context = wiring.settings_context(document, self.layouts, self._expressions)
+        context = wiring.settings_context(document, self.layouts, self._expressions, missing_type)
         return read_detector_settings(document, where, context)
 
     def begin(self, settings: DetectorSettings) -> None:
@@ -239,7 +241,9 @@ class DetectorProcess:
 
     def _apply_queued(self) -> None:
         while self._new_settings:
-            self.detector.apply(*self._new_settings.popleft())
+            settings, asked_at, text = self._new_settings.popleft()
+            self.detector.apply(settings, asked_at)
+            self._report.taken(text)
             for recordings in self.detector.recordings.leaving():
                 _on_thread(partial(recordings.stop, STORE_SECONDS_MAX))
             for reaction in self.detector.dispatcher.leaving():
@@ -270,17 +274,19 @@ class DetectorProcess:
     def _change(self, text: str) -> None:
         """Queue new settings; refused ones are reported, and the present ones stay."""
         asked_at = time.time_ns()
+        self._report.given(text)
         try:
             settings = self.read(text, CONFIG_KEY)
         except InputError as error:
             self.refusal.error = str(error)
             self.refusal.time = time.time_ns()
             self.refusal.count += 1
+            self._report.refused(text, str(error))
             self._process.log("settings refused", error=str(error))
             self._warn(str(error))
             return
         self.refusal.error = ""
-        self._new_settings.append((settings, asked_at))
+        self._new_settings.append((settings, asked_at, text))
 
     def _warn(self, sentence: str) -> None:
         """Create a Kubernetes Event about the ConfigMap, where its author sees it."""

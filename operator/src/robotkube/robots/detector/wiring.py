@@ -153,8 +153,8 @@ def make_broker(
 ) -> Broker:
     """The detector's connection to the broker. Its client id is the name of its release, which no bridge has, and of
     the Node that the release names."""
-    from robotkube.robots.detector.adapters.broker_account import read_broker_account
     from robotkube.robots.detector.loops.broker import Broker
+    from robotkube.robots.mqtt.adapters.broker_account import read_broker_account
     from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel
 
     client = "-".join([name.replace("/", "-"), *([pod.placed_node] if pod.placed_node else [])])
@@ -186,7 +186,9 @@ def make_spans(environment: Mapping[str, str], name: str) -> Spans | None:
     return OtlpSpans(endpoint, "robotkube-event-detector", name)
 
 
-def settings_context(document: Mapping[str, Any], layouts: Layouts, check: CheckExpressions) -> SettingsContext:
+def settings_context(
+    document: Mapping[str, Any], layouts: Layouts, check: CheckExpressions, missing_type: Callable[[str], str]
+) -> SettingsContext:
     """The facts that a document is checked against; only what it needs is imported."""
     kinds = {
         item.get("kind")
@@ -202,4 +204,4 @@ def settings_context(document: Mapping[str, Any], layouts: Layouts, check: Check
 
         rules = installed_rules()
         reactions = installed_reactions()
-    return SettingsContext(layouts, rules, reactions, check if "cel" in kinds else None)
+    return SettingsContext(layouts, rules, reactions, check if "cel" in kinds else None, missing_type)

@@ -30,7 +30,11 @@ class ChannelEvents(Protocol):
         ...
 
     def refused(self, topic: str, reason: str) -> None:
-        """The broker refuses a subscription."""
+        """The broker refuses a subscription. It is asked for again after a pause, until it is granted or ended."""
+        ...
+
+    def granted(self, topic: str) -> None:
+        """The broker takes a subscription that it had refused on this connection."""
         ...
 
 
@@ -40,6 +44,16 @@ class MqttChannel(Protocol):
     @property
     def complaint(self) -> str | None:
         """The reason why there is no connection; None while there is one."""
+        ...
+
+    @property
+    def wants_write(self) -> bool:
+        """Whether something waits that the socket did not take."""
+        ...
+
+    @property
+    def congested(self) -> bool:
+        """Whether something waits that did not leave the machine: in front of the socket, or in it."""
         ...
 
     def turn(self, now: float) -> None:

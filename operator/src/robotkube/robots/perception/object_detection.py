@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from robotkube.foundation.runtime.process import Process, run
-from robotkube.robots.perception.core.settings import read_detection_settings
+from robotkube.robots.perception.core.detection_settings import read_detection_settings
 from robotkube.robots.perception.loops.object_detection import ObjectDetection
 from robotkube.robots.perception.process import GRACE_SECONDS, serve
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from robotkube.foundation.runtime.process import Process, run
-from robotkube.robots.perception.core.settings import read_tracking_settings
+from robotkube.robots.perception.core.tracking_settings import read_tracking_settings
 from robotkube.robots.perception.loops.object_tracking import ObjectTracking
 from robotkube.robots.perception.process import GRACE_SECONDS, serve
 

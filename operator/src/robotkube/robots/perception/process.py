@@ -14,6 +14,7 @@ from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.runtime.adapters.health_server import HealthServer
 from robotkube.foundation.runtime.config_watch import fencing_of, watch_settings
+from robotkube.foundation.runtime.loops.settings_report import SettingsReport
 from robotkube.foundation.runtime.process import PodSettings, Process, read_text
 from robotkube.robots.perception.loops.service import Log, MessageProcessor
 from robotkube.robots.ros.adapters.rclpy_node import RosNode
@@ -47,27 +48,29 @@ def serve(
 ) -> None:
     """Run one service until the process shall end. InputError when its first settings are refused."""
     pod = PodSettings.from_environment()
-    settings = read(
-        read_mapping(read_text(pod.config_file, "the settings"), str(pod.config_file)), str(pod.config_file)
-    )
+    first = read_text(pod.config_file, "the settings")
+    settings = read(read_mapping(first, str(pod.config_file)), str(pod.config_file))
+    report = SettingsReport()
+    report.given(first)
     service = make(RosNode(node), process.log)
     processor = service.processor
     fencing = fencing_of(pod)
     HealthServer(
-        ready=lambda: processor.complaint,
-        metrics=lambda: processor.metrics() + fencing.metrics(),
+        ready=lambda: report.complaint or processor.complaint,
+        metrics=lambda: processor.metrics() + report.metrics() + fencing.metrics(),
         port=pod.health_port,
     ).start()
     service.configure(settings)
+    report.taken(first)
     changes: deque[str] = deque(maxlen=1)
     if pod.config_map is not None:
-        watch_settings(process, pod.config_map, fencing, lambda data: _note(changes, data))
+        watch_settings(process, pod.config_map, fencing, lambda data: _note(changes, report, data))
     process.log("ready", complaint=processor.complaint)
     gc.freeze()
     while not process.stopping.wait(PERIOD_SECONDS):
         fenced = fencing.fenced  # read first: what lifted it is among the changes by then
         if changes:
-            _apply(process, service, read, changes.popleft())
+            _apply(process, service, read, report, changes.popleft())
         if not fenced:
             processor.turn()
     processor.close()
@@ -77,15 +80,19 @@ def _apply(
     process: Process,
     service: PerceptionService[Settings],
     read: Callable[[Mapping[str, Any], str], Settings],
+    report: SettingsReport,
     text: str,
 ) -> None:
     """Apply changed settings; refused ones are reported and the present ones stay."""
     try:
         service.configure(read(read_mapping(text, KEY), KEY))
+        report.taken(text)
     except DocumentError as error:
+        report.refused(text, str(error))
         process.log("settings refused", error=str(error))
 
 
-def _note(changes: deque[str], data: Mapping[str, str]) -> None:
+def _note(changes: deque[str], report: SettingsReport, data: Mapping[str, str]) -> None:
     if KEY in data:
+        report.given(data[KEY])
         changes.append(data[KEY])

@@ -13,6 +13,7 @@ from typing import Any
 import httpx
 
 from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
 
 TIMEOUT_SECONDS = 30.0
 PAGE_ITEMS = 50
@@ -45,7 +46,12 @@ class GiteaAdministration:
     def __init__(self, url: str, username: str, password: str) -> None:
         self._url = url
         self._username = username
-        self._client = httpx.Client(base_url=f"{url}/api/v1", auth=(username, password), timeout=TIMEOUT_SECONDS)
+        self._client = httpx.Client(
+            base_url=f"{url}/api/v1",
+            auth=(username, password),
+            verify=certificate_authorities(),
+            timeout=TIMEOUT_SECONDS,
+        )
 
     def disconnect(self) -> None:
         """Close the connections."""
@@ -72,7 +78,12 @@ class GiteaAdministration:
 
     def _knows(self, name: str, password: str) -> bool:
         try:
-            answer = httpx.get(f"{self._url}/api/v1/user", auth=(name, password), timeout=TIMEOUT_SECONDS)
+            answer = httpx.get(  # without what the administrator's client keeps
+                f"{self._url}/api/v1/user",
+                auth=(name, password),
+                verify=certificate_authorities(),
+                timeout=TIMEOUT_SECONDS,
+            )
         except httpx.HTTPError as error:
             raise UnavailableError(f"forge {self._url}: {error or type(error).__name__}") from error
         return answer.status_code == 200

@@ -60,6 +60,31 @@ def make_fleet(vehicles: int = 3, clouds: int = 1, **changes: Any) -> Fleet:
     return fleet(agents, [n for n in nodes if n.name not in changes.get("without", ())])
 
 
+def watched(composition: Composition) -> list[Any]:
+    """The agents that the cloud's detector compares, a list for each of its rules."""
+    release = composition.releases["releases/cloud-0/event-detector.yaml"]
+    return [rule["agents"] for rule in release.values["detector"]["rules"]]
+
+
+def lidars(*agents: str) -> dict[str, Any]:
+    return {agent.replace("-", "_"): {"capabilities": frozenset({"lidar"})} for agent in agents}
+
+
+def test_the_detector_compares_the_vehicles_that_have_a_lidar() -> None:
+    """The catalogue names no vehicle; with one lidar there is no pair, so there is no rule."""
+    by_fleet = [
+        (lidars("vehicle-00"), []),
+        (lidars("vehicle-01", "vehicle-02"), [["vehicle-01", "vehicle-02"]]),
+        (lidars("vehicle-00", "vehicle-01", "vehicle-02"), [["vehicle-00", "vehicle-01", "vehicle-02"]]),
+    ]
+    for changes, expected in by_fleet:
+        known = make_fleet(**changes)
+        demands = initial_demands(CATALOGUE, InitialPolicy(), known)
+        composition = compose(demands, Inputs(CATALOGUE, known, {}, RENDER, validate))
+        assert watched(composition) == expected
+        assert all(isinstance(outcome, Met) for outcome in composition.outcomes.values())
+
+
 def task(
     name: str = "meeting", vehicles: Sequence[str] = ("vehicle-00", "vehicle-01"), **changes: Any
 ) -> TaskDescription:
@@ -236,27 +261,28 @@ def changed_application(old: str, new: str, name: str = "pose-point-cloud-record
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "text"),
+    ("old", "new", "reason", "text"),
     [
         (
             "type: geometry_msgs/msg/PoseStamped\n      channel",
             "type: nav_msgs/msg/Odometry\n      channel",
-            "is asked for with type",
+            "LinkMismatch",
+            "nav_msgs/msg/Odometry",
         ),
-        ("task.trace", "task.nothing", "has no attribute 'nothing'"),
-        ('release: "recorder-{{', 'release: "Recorder {{', "release name"),
+        ("task.trace", "task.nothing", "CompositionFailed", "has no attribute 'nothing'"),
+        ('release: "recorder-{{', 'release: "Recorder {{', "CompositionFailed", "release name"),
     ],
 )
-def test_compositions_that_fail(old: str, new: str, text: str) -> None:
+def test_compositions_that_fail(old: str, new: str, reason: str, text: str) -> None:
     outcome = outcome_of(task(), catalogue=changed_application(old, new))
-    assert outcome.reason == "CompositionFailed"
+    assert outcome.reason == reason
     assert text in outcome.message
 
 
 def test_without_a_bridge_nothing_with_links_is_composed() -> None:
     files = {p: t for p, t in catalogue_files().items() if "mqtt-bridge.yaml" not in p}
     desired = compute([task()], catalogue=read_catalogue(files))
-    assert [r.key for r in desired.releases.values()] == ["cloud-0/event-detector"]
+    assert desired.releases == {}
     assert desired.outcomes["cloud-0/meeting"].reason == "CompositionFailed"  # type: ignore[union-attr]
 
 

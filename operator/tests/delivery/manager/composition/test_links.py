@@ -1,4 +1,4 @@
-"""Links of kind mqtt: which topic goes from whom to whom, and what the broker would refuse."""
+"""Links of kind mqtt: which topic goes from whom to whom, and what broker or charts at the ends would refuse."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from robotkube.delivery.manager.core.placement.placement import Agent, NodeState
 from robotkube.delivery.tasks.core.task_description import TaskPlacement
 from robotkube.foundation.documents.adapters.json_schema import validate
 from robotkube.robots.bridge.core.rights import IN, OUT, may
-from tests.stages.delivery.placement import RENDER, application, catalogue, demand, task
+from tests.stages.attacks import shown
+from tests.stages.delivery.placement import RENDER, application, catalogue, chart, demand, task
 
 NAMES = [("vehicle-00", "vehicle"), ("vehicle-01", "vehicle"), ("roadside-0", "roadside"), ("cloud-0", "cloud")]
 NAMES += [("cloud-1", "cloud")]
@@ -51,9 +52,12 @@ def service(name: str, agent: str, **more: Any) -> dict[str, Any]:
 
 
 def composed(
-    links: Sequence[Mapping[str, Any]], *services: Mapping[str, Any], vehicles: Sequence[str] = ("vehicle-00",)
+    links: Sequence[Mapping[str, Any]],
+    *services: Mapping[str, Any],
+    vehicles: Sequence[str] = ("vehicle-00",),
+    charts: Sequence[tuple[str, str]] = (),
 ) -> Composition:
-    known = catalogue(application(*services, links=links), BRIDGE)
+    known = catalogue(application(*services, links=links), BRIDGE, *charts)
     nodes = [NodeState(agent.name, agent.name, agent.role, frozenset(), True) for agent in AGENTS]
     asked: Demand = demand(task(parameters={"agents": list(vehicles)}))
     return compose([asked], Inputs(known, fleet(AGENTS, nodes), {}, RENDER, validate))
@@ -83,13 +87,13 @@ COMMAND, POSE = "/vehicles/vehicle_00/command", "/vehicles/vehicle_00/pose"
     ("source", "target", "name", "words"),
     [
         (CLOUD, VEHICLE, COMMAND, "cloud-0 (role cloud) may not write it"),
-        (VEHICLE, OTHER, POSE, "vehicle-01 (role vehicle) may not read it"),
-        (SITE, VEHICLE, "/vehicles/roadside_0/plan", "vehicle-00 (role vehicle) may not read it"),
+        (VEHICLE, OTHER, "/vehicles/vehicle_01/pose", "vehicle-00 (role vehicle) may not write it"),
+        (SITE, VEHICLE, "/agents/vehicle_00/plan", "roadside-0 (role roadside) may not write it"),
+        (CLOUD, VEHICLE, "/agents/cloud_1/plan", "cloud-0 (role cloud) may not write it"),
         (VEHICLE, CLOUD, "/vehicles/vehicle_01/pose", "vehicle-00 (role vehicle) may not write it"),
         (VEHICLE, CLOUD, "/pose", "vehicle-00 (role vehicle) may not write it"),
         (CLOUD, {"agent": "cloud-1"}, "/summary", "cloud-0 (role cloud) may not write it"),
-        (VEHICLE, {"role": "vehicle"}, POSE, "vehicle-01 (role vehicle) may not read it"),
-        ({"medium": "mqtt"}, VEHICLE, "/vehicles/vehicle_01/pose", "vehicle-00 (role vehicle) may not read it"),
+        ({"medium": "mqtt"}, VEHICLE, "/robotkube/tasks", "vehicle-00 (role vehicle) may not read it"),
         (VEHICLE, CLOUD, "/robotkube/task_status", "vehicle-00 (role vehicle) may not write it"),
     ],
 )
@@ -101,9 +105,114 @@ def test_a_link_that_cannot_pass_is_refused(
     assert refusal.reason == "LinkNotPermitted"
     assert f"topic {name} cannot go from " in refusal.message
     assert words in refusal.message
-    assert "write and read topics below /vehicles/<their own name>/ and no others" in refusal.message
+    assert "every agent writes topics below /agents/<its own name>/" in refusal.message
     assert "placement.roles" in refusal.message
     assert composition.releases == {}
+
+
+def test_a_type_that_no_bridge_knows_is_refused_where_a_bridge_would_carry_it() -> None:
+    own = link(VEHICLE, CLOUD, POSE)
+    own["topics"][0]["type"] = "rover_msgs/msg/Fix"
+    composition = composed([own])
+    refusal = refused(composition)
+    assert refusal.reason == "LinkTypeUnknown"
+    assert f"topic {POSE}: type rover_msgs/msg/Fix: none of the packaged images has the message" in refusal.message
+    assert "so no bridge carries it; take a type of docs/reference/message-types.md" in refusal.message
+    assert composition.releases == {}
+    assert carried(composed([{**own, "to": dict(VEHICLE)}])) == {}  # ROS itself carries it on one place
+
+
+def interface(direction: str, name: str, kind: str, reliability: str, durability: str) -> dict[str, Any]:
+    qos = {"reliability": reliability, "durability": durability}
+    told = {"name": direction, "medium": "ros", "direction": direction, "topic": name}
+    return {**told, "type": kind, "qos": qos}
+
+
+OPENING = [
+    interface("in", "{{ values.heard }}", "std_msgs/msg/String", "reliable", "volatile"),
+    interface("out", "{{ values.said }}", "std_msgs/msg/String", "best_effort", "volatile"),
+]
+OPENER = chart("opener", interfaces=OPENING)
+SAYS = {
+    "chart": {"name": "opener", "version": ">=0.1.0"},
+    "values": {"said": POSE, "heard": "/vehicles/{vehicle}/pose"},
+}
+SPEAKER, HEARER = service("speaker", "vehicle-00", **SAYS), service("hearer", "cloud-0", **SAYS)
+FROM_SPEAKER, TO_HEARER = {"service": "speaker"}, {"service": "hearer"}
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "change", "words"),
+    [
+        (
+            VEHICLE,
+            TO_HEARER,
+            {"type": "std_msgs/msg/Float64"},
+            "type: topic /vehicles/{vehicle}/pose is std_msgs/msg/F",
+        ),
+        (
+            FROM_SPEAKER,
+            CLOUD,
+            {"type": "std_msgs/msg/Float64"},
+            f"type: topic {POSE} is std_msgs/msg/Float64 here, and",
+        ),
+        (
+            FROM_SPEAKER,
+            CLOUD,
+            {},
+            "reliability: topic /vehicles/vehicle_00/pose: the link requests reliable, and inter",
+        ),
+        (
+            VEHICLE,
+            TO_HEARER,
+            {"reliability": "best_effort"},
+            "(service hearer) requests reliable: ROS does not connect",
+        ),
+        (
+            VEHICLE,
+            TO_HEARER,
+            {"name": COMMAND.replace("command", "posed")},
+            "(direction in): it has /vehicles/{vehicle}",
+        ),
+        (
+            FROM_SPEAKER,
+            CLOUD,
+            {"name": COMMAND},
+            "name: no interface of chart opener (service speaker) sends /vehicles/v",
+        ),
+    ],
+)
+def test_a_topic_that_a_chart_at_an_end_opens_otherwise_is_refused(
+    source: dict[str, str], target: dict[str, str], change: dict[str, str], words: str
+) -> None:
+    own = link(source, target, POSE)
+    own["topics"][0] |= change
+    refusal = refused(composed([own], SPEAKER, HEARER, charts=[OPENER]))
+    assert refusal.reason == "LinkMismatch"
+    assert refusal.message.startswith("spec.links[0].topics[0].")
+    assert words in refusal.message
+
+
+def test_what_the_charts_at_the_ends_open_as_the_link_says_is_composed() -> None:
+    """More than is requested is offered; charts without interfaces say nothing."""
+    weak = link(FROM_SPEAKER, CLOUD, POSE)
+    weak["topics"][0]["reliability"] = "best_effort"
+    strong = link(SITE, TO_HEARER, "/vehicles/roadside_0/pose")
+    strong["topics"][0]["durability"] = "transient_local"
+    mute = link(VEHICLE, {"service": "mute"}, COMMAND)
+    composition = composed([weak, strong, mute], SPEAKER, HEARER, service("mute", "cloud-1"), charts=[OPENER])
+    assert carried(composition)["vehicle-00"] == ([COMMAND, POSE], [])
+    assert carried(composition)["cloud-0"] == ([], ["/vehicles/roadside_0/pose", POSE])
+
+
+def test_a_topic_may_be_that_of_a_chart_beside_the_end() -> None:
+    own = link({"service": "mute"}, CLOUD, POSE)
+    own["topics"][0]["reliability"] = "best_effort"
+    for name in ("opener", "worker"):
+        mute = service(
+            "mute", "vehicle-00", chart={"name": name, "version": ">=0.1.0"}, values={"said": "/a", "heard": "/b"}
+        )
+        assert carried(composed([own], mute, SPEAKER, charts=[OPENER]))["vehicle-00"] == ([POSE], [])
 
 
 def test_what_may_pass_is_composed() -> None:
@@ -120,6 +229,24 @@ def test_what_may_pass_is_composed() -> None:
     }
 
 
+@pytest.mark.parametrize(
+    ("source", "target", "name"),
+    [
+        (VEHICLE, OTHER, POSE),
+        (VEHICLE, SITE, POSE),
+        (SITE, VEHICLE, "/vehicles/roadside_0/objects"),
+        (CLOUD, VEHICLE, "/agents/cloud_0/plan"),
+        (CLOUD, {"agent": "cloud-1"}, "/agents/cloud_0/summary"),
+        (VEHICLE, CLOUD, "/agents/vehicle_00/status"),
+    ],
+)
+def test_links_go_from_any_agent_to_any_other(source: dict[str, str], target: dict[str, str], name: str) -> None:
+    assert carried(composed([link(source, target, name)])) == {
+        source["agent"]: ([name], []),
+        target["agent"]: ([], [name]),
+    }
+
+
 def test_a_link_within_one_machine_needs_no_right() -> None:
     own = service("a", "cloud-0")
     composition = composed([link(CLOUD, {"service": "a"}, "/any")], own)
@@ -129,7 +256,8 @@ def test_a_link_within_one_machine_needs_no_right() -> None:
 def test_a_topic_of_any_agent() -> None:
     vehicle, _, _, cloud, _ = AGENTS
     assert may(vehicle, OUT, "/vehicles/{agent}/pose")
-    assert not may(vehicle, IN, "/vehicles/{agent}/pose")
+    assert may(vehicle, IN, "/vehicles/{agent}/pose")
+    assert may(cloud, OUT, "/agents/{agent}/plan")
     assert may(cloud, IN, "/vehicles/{agent}/pose")
     assert not may(cloud, OUT, "/vehicles/{agent}/pose")
 
@@ -215,44 +343,65 @@ def where(composition: Composition) -> str:
 
 def test_a_service_goes_where_its_links_pass() -> None:
     """By the number of releases and by name, the first of them would be taken."""
-    clouds = link(VEHICLE, {"service": "watch"}, POSE)
-    everywhere = [name for name, _ in NAMES]
-    assert where(watching(clouds, able=["vehicle-01", "roadside-0", "cloud-1"])) == "cloud-1"
-    assert where(watching(clouds, able=["vehicle-00", "vehicle-01"])) == "vehicle-00"
-    assert where(watching(clouds, able=everywhere)) == "cloud-0"
     results = link({"service": "watch"}, {"role": "cloud"}, "/vehicles/roadside_0/objects")
     assert where(watching(results, able=["roadside-0", "vehicle-00", "vehicle-01"])) == "roadside-0"
     answers = link({"service": "watch"}, {"role": "roadside"}, "/answers")
     assert where(watching(answers, able=["roadside-0", "cloud-0"])) == "roadside-0"
+    own = link({"service": "watch"}, VEHICLE, "/agents/cloud_1/answers")
+    assert where(watching(own, able=["cloud-0", "cloud-1", "roadside-0"])) == "cloud-1"
+
+
+def test_every_place_may_read() -> None:
+    clouds = link(VEHICLE, {"service": "watch"}, POSE)
+    for able in ("vehicle-01", "roadside-0", "cloud-1"):
+        assert where(watching(clouds, able=[able])) == able
+
+
+RESULTS = link({"service": "watch"}, {"role": "cloud"}, "/vehicles/roadside_0/objects")
 
 
 def test_the_reasons_name_who_may_not() -> None:
-    clouds = link(VEHICLE, {"service": "watch"}, POSE)
-    (outcome,) = watching(clouds, able=["cloud-1", "roadside-0"]).outcomes.values()
+    (outcome,) = watching(RESULTS, able=["vehicle-00", "roadside-0"]).outcomes.values()
     assert isinstance(outcome, Met)
-    assert f"roadside-0: may not read {POSE} at the broker" in outcome.choices
+    assert "vehicle-00: may not write /vehicles/roadside_0/objects at the broker" in outcome.choices
 
 
 def test_where_no_agent_may_the_link_is_refused() -> None:
-    clouds = link(VEHICLE, {"service": "watch"}, POSE)
     for composition in (
-        watching(clouds, able=["vehicle-01", "roadside-0"]),
-        watching(clouds, able=["roadside-0", "cloud-0"], roles=("roadside",)),
+        watching(RESULTS, able=["vehicle-00", "vehicle-01"]),
+        watching(RESULTS, able=["roadside-0", "vehicle-00"], roles=("vehicle",)),
     ):
         refusal = refused(composition)
         assert refusal.reason == "LinkNotPermitted"
-        assert "may not read it at the broker" in refusal.message
+        shown("selection", refusal.message, "topic-of-another")
 
 
 def test_a_place_that_the_link_needs_but_that_is_away_is_waited_for() -> None:
     """Not another one, where the link would be refused."""
-    known = catalogue(application(ANYWHERE, links=[link(VEHICLE, {"service": "watch"}, POSE)]), BRIDGE)
-    able = {"roadside-0", "cloud-0"}
+    known = catalogue(application(ANYWHERE, links=[RESULTS]), BRIDGE)
+    able = {"roadside-0", "vehicle-00"}
     nodes = [
-        NodeState(a.name, a.name, a.role, frozenset({"gpu"} if a.name in able else ()), a.name != "cloud-0")
+        NodeState(a.name, a.name, a.role, frozenset({"gpu"} if a.name in able else ()), a.name != "roadside-0")
         for a in AGENTS
     ]
     refusal = refused(compose([demand(task())], Inputs(known, fleet(AGENTS, nodes), {}, RENDER, validate)))
     assert refusal.reason == "NoCapableNode"
-    assert "cloud-0: no Node is Ready" in refusal.message
-    assert "roadside-0: may not read" in refusal.message
+    assert "roadside-0: no Node is Ready" in refusal.message
+    assert "vehicle-00: may not write" in refusal.message
+
+
+@pytest.mark.parametrize("deadline", [{}, {"deadline_seconds": 0.5}])
+def test_kind_and_deadline_of_a_topic_reach_both_bridges(deadline: dict[str, float]) -> None:
+    carries = {**topic(POSE), "channel": "safety", **deadline}
+    one = {"kind": "mqtt", "from": dict(VEHICLE), "to": dict(CLOUD), "topics": [carries]}
+    releases = composed([one]).releases.values()
+    ends = {release.namespace: release.values["bridge"] for release in releases}
+    assert (ends["vehicle-00"]["out"], ends["cloud-0"]["in"]) == ([carries], [carries])
+
+
+def test_two_deadlines_of_one_topic_are_told() -> None:
+    links = [
+        {"kind": "mqtt", "from": dict(VEHICLE), "to": dict(CLOUD), "topics": [{**topic(POSE), **deadline}]}
+        for deadline in ({"deadline_seconds": 0.5}, {})
+    ]
+    assert "is asked for with deadline_seconds 0.5 and None" in refused(composed(links)).message

@@ -10,8 +10,10 @@ import pytest
 from robotkube.delivery.manager.adapters import kubernetes_cluster
 from robotkube.delivery.manager.adapters.kubernetes_cluster import KubernetesCluster
 from robotkube.delivery.manager.core.observation import judge_present
+from robotkube.delivery.manager.core.updates.rule_events import RuleEvent
 from robotkube.delivery.tasks.core.task_description import read_task
 from robotkube.errors import DocumentError, InputError, UnavailableError
+from robotkube.foundation.documents.core.times import time_ns
 from robotkube.foundation.kubernetes.adapters import client as kubernetes_client
 from robotkube.foundation.kubernetes.adapters.client import ResourceWatch, api_client, call
 from tests.stages.kubernetes.api_calls import ARGOCD, TASKS, Api
@@ -77,6 +79,7 @@ def test_tasks_are_seen_and_their_statuses_written_without_waking_again(api: Api
     until(lambda: seen.woken, "the deletion told")
     assert seen.woken == ["tasks"]
     assert not seen.cluster.patch_status("cloud-0", "one", status)
+    assert RuleEvent("near", time_ns("2026-11-21T10:00:00Z"), "cloud-0") in seen.cluster.rule_events()
 
 
 def test_a_status_that_the_definition_refuses_is_an_error_with_the_servers_words(api: Api, seen: Seen) -> None:

@@ -8,11 +8,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import httpx
 import pytest
 
 from robotkube.delivery.deployment.core.commit_messages import read_message
 from robotkube.foundation.forge.adapters.push_hooks import PushRelay
+from tests.stages import http_calls
 from tests.stages.delivery.manager_process import Pod, conditions, write_settings
 from tests.stages.forge.installation import (
     ApplicationSetController,
@@ -192,7 +192,7 @@ def test_what_reaches_the_one_that_waits_is_answered_by_the_leader(
     until(lambda: committed(manager_api, "asked"), "committed by the first")
     until(lambda: second.plans() == first.plans(), "the second shows the plans of the first")
     assert first.plans()[-1]["tasks"] == ["cloud-0/asked"]
-    answer = httpx.post(f"{second.url}/explain", json={"task": "cloud-0/asked"}, timeout=10)
+    answer = http_calls.post(f"{second.url}/explain", json={"task": "cloud-0/asked"}, timeout=10)
     assert (answer.status_code, answer.json()["outcome"]) == (200, "Accepted")
     assert delivered(second, outside(own_installation).webhook_secret)
     assert not delivered(second, "another secret")

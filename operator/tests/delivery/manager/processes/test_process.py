@@ -8,12 +8,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import httpx
 import pytest
 import yaml
 
 from robotkube.foundation.kubernetes.adapters.client import call
 from robotkube.foundation.runtime.core.webhook_deliveries import sign
+from tests.stages import http_calls
 from tests.stages.delivery.manager_process import Pod, write_settings
 from tests.stages.forge.installation import WEBHOOK_SECRET, Installation, RunningGate, manager_secret, outside
 from tests.stages.kubernetes.api_calls import TASKS, Api
@@ -34,7 +34,7 @@ def pod(installation: Installation, gate: RunningGate, manager_api: Api, tmp_pat
 
 
 def test_a_task_of_the_api_server_is_on_main(pod: Pod, manager_api: Api, gate: RunningGate, tmp_path: Path) -> None:
-    until(pod.ready, "ready", 30)
+    until(pod.ready, "ready")
     until(lambda: all(p["on_main"] or p["error"] for p in pod.plans()), "initial configuration on main")
     manager_api.task(
         "meeting", application="pose-point-cloud-recording", parameters={"vehicles": ["vehicle-00", "vehicle-01"]}
@@ -50,14 +50,16 @@ def test_a_task_of_the_api_server_is_on_main(pod: Pod, manager_api: Api, gate: R
     assert "proximity-operator" in catalogue.text
     body = json.dumps({"repository": {"full_name": "robotkube/deployment"}}).encode()
     headers = {"X-Gitea-Event": "push", "X-Gitea-Signature": sign(body, manager_secret().encode())}
-    assert httpx.post(f"{pod.url}/webhook", content=body, headers=headers).status_code == 204
+    assert http_calls.post(f"{pod.url}/webhook", content=body, headers=headers).status_code == 204
     headers["X-Gitea-Signature"] = sign(body, WEBHOOK_SECRET.encode())
-    assert httpx.post(f"{pod.url}/webhook", content=body, headers=headers).status_code == 401, "signed for the gate"
-    assert httpx.post(f"{pod.url}/webhook", content=body, headers={}).status_code == 401
+    assert http_calls.post(f"{pod.url}/webhook", content=body, headers=headers).status_code == 401, (
+        "signed for the gate"
+    )
+    assert http_calls.post(f"{pod.url}/webhook", content=body, headers={}).status_code == 401
     health = yaml.safe_load((tmp_path / "config.yaml").read_text())["listen"]["health_port"]
     for url in (pod.url, f"http://127.0.0.1:{health}"):
-        assert httpx.get(f"{url}/readyz").status_code == 200
-        assert "robotkube_manager_plans_total" in httpx.get(f"{url}/metrics").text
+        assert http_calls.get(f"{url}/readyz").status_code == 200
+        assert "robotkube_manager_plans_total" in http_calls.get(f"{url}/metrics").text
     manager_api.delete(f"{TASKS}/meeting")
     until(lambda: pod.plans()[-1]["cause"] == "withdrawal" and pod.plans()[-1]["on_main"], "withdrawn")
     assert gate.gate.statistics.sources["sent"] > 0, "its objects were sent"

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from hashlib import sha256
+from itertools import chain
 from typing import Any
 
 from robotkube.delivery.manager.core.composition.inputs import Demand
@@ -98,14 +99,16 @@ def inventory(application: Application, parameters: Parameters, render: Render) 
     has every capability that it asks for."""
     ends = [end for link in application.links for end in (link.source, link.target)]
     asked = [service.placement.role for service in application.services] + [end.get("role", "") for end in ends]
-    roles = dict.fromkeys([*ROLES, *asked, application.initial_for])
+    listed = application.agents.values()
+    roles = dict.fromkeys([*ROLES, *asked, application.initial_for, *(wanted.role for wanted in listed)])
     roles.pop("", None)
     agents = [Agent(name, role, name) for role in roles for name in (f"{role}-{n:02d}" for n in range(PER_ROLE))]
     taken = {agent.name for agent in agents}
     names = dict.fromkeys([*_named(application, parameters, render), *_words(parameters)])
     others = [name for name in names if name not in taken and NAME.fullmatch(name)]
     agents += [Agent(name, ROLES[0], name) for name in others[:AGENTS_MAX]]
-    capabilities = frozenset(word for service in application.services for word in service.placement.capabilities)
+    of_services = [service.placement.capabilities for service in application.services]
+    capabilities = frozenset(chain(*of_services, *(wanted.capabilities for wanted in listed)))
     nodes = [NodeState(agent.name, agent.name, agent.role, capabilities, True) for agent in agents]
     return fleet(agents, nodes)
 
@@ -113,7 +116,12 @@ def inventory(application: Application, parameters: Parameters, render: Render) 
 def _named(application: Application, parameters: Parameters, render: Render) -> Iterator[str]:
     """Names that the templates for agents give; what needs a placement to be known is left out."""
     given = with_defaults(application.parameters, parameters)
-    names = {"parameters": given, "placement": {}, "agent": f"{application.initial_for or ROLES[0]}-00"}
+    names = {
+        "parameters": given,
+        "placement": {},
+        "agents": {name: [] for name in application.agents},
+        "agent": f"{application.initial_for or ROLES[0]}-00",
+    }
     texts = [(service.for_each, service.placement.agent) for service in application.services]
     texts += [(link.for_each, end.get("agent", "")) for link in application.links for end in (link.source, link.target)]
     for for_each, text in texts:

@@ -41,7 +41,16 @@ OLDER_VERSIONS = 3  # of a chart, that are tried besides the one that is selecte
 OLDER_SAMPLES = 3
 PROBLEMS_MAX = 20
 PARAMETERS_SHOWN_MAX = 200
-WRONG = frozenset({"CompositionFailed", "NoVerifiedVersion", "GuaranteeNotMet", "UnknownApplication"})
+WRONG = frozenset(
+    {
+        "CompositionFailed",
+        "NoVerifiedVersion",
+        "GuaranteeNotMet",
+        "UnknownApplication",
+        "LinkTypeUnknown",
+        "LinkMismatch",
+    }
+)
 """Refusals that the application is to blame for; others say that the sampled fleet cannot serve a sample."""
 NOT_SELECTED = frozenset({"NoVerifiedVersion", "GuaranteeNotMet"})
 

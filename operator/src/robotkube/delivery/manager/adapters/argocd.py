@@ -11,6 +11,7 @@ from urllib.parse import quote
 import httpx
 
 from robotkube.foundation.forge.ports.pull_requests import PushHook
+from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
 
 REFRESH_SECONDS_MAX = 5.0
 
@@ -24,7 +25,7 @@ class ArgoCDServer:
     """
 
     def __init__(self, url: str, username: str, password: str, push_hook: PushHook, project: str = "") -> None:
-        self._client = httpx.Client(base_url=url, timeout=REFRESH_SECONDS_MAX)
+        self._client = httpx.Client(base_url=url, verify=certificate_authorities(), timeout=REFRESH_SECONDS_MAX)
         self._account = {"username": username, "password": password}
         self._push_hook = push_hook
         self._project = project

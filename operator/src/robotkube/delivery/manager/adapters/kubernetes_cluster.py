@@ -16,13 +16,17 @@ from typing import Any
 
 from kubernetes import client
 
+from robotkube.delivery.manager.adapters.pod_states import placed, read_pod, read_time_ns
 from robotkube.delivery.manager.core.observation import ApplicationState, PodState
 from robotkube.delivery.manager.core.placement.capacity import Resources, read_resources
 from robotkube.delivery.manager.core.placement.placement import NodeState
+from robotkube.delivery.manager.core.updates.probe_answers import ProbeLoss, ProbeLosses
+from robotkube.delivery.manager.core.updates.rule_events import RuleEvent, RuleEvents
 from robotkube.delivery.tasks.core.holds import node_hold
 from robotkube.delivery.tasks.core.task_description import GROUP, PLURAL, VERSION
 from robotkube.errors import UnavailableError
 from robotkube.foundation.kubernetes.adapters.client import CONFLICT, Object, ResourceWatch, send
+from robotkube.foundation.kubernetes.core.objects import is_withdrawn
 from robotkube.writes import writes
 
 EVENT_NOTE_BYTES_MAX = 1024
@@ -35,7 +39,6 @@ AGENT_LABEL = f"{GROUP}/agent"
 ROLE_LABEL = f"{GROUP}/role"
 CAPABILITY_PREFIX = f"{GROUP}/capability."
 PLAN_ANNOTATION = f"{GROUP}/plan"
-RELEASE_LABEL = "app.kubernetes.io/instance"
 
 log = logging.getLogger(__name__)
 
@@ -58,6 +61,8 @@ class KubernetesCluster:
         self._wake = wake
         self._now = now
         self._home = home
+        self._events = RuleEvents()
+        self._losses = ProbeLosses()
         applications = f"/apis/argoproj.io/v1alpha1/namespaces/{argocd_namespace}/applications"
         self._tasks = [
             ResourceWatch(api, path, "", dict, self._task_changed) for path in _paths(TASKS_PATH, namespaces)
@@ -65,8 +70,7 @@ class KubernetesCluster:
         self._nodes = ResourceWatch(api, "/api/v1/nodes", AGENT_LABEL, read_node, self._node_changed)
         self._applications = ResourceWatch(api, applications, "", read_application, self._application_changed)
         self._pods = [
-            ResourceWatch(api, path, AGENT_LABEL, read_pod, self._application_changed)
-            for path in _paths(PODS_PATH, namespaces)
+            ResourceWatch(api, path, AGENT_LABEL, read_pod, self._pod_changed) for path in _paths(PODS_PATH, namespaces)
         ]
         self._watches = (*self._tasks, self._nodes, self._applications, *self._pods)
 
@@ -91,13 +95,30 @@ class KubernetesCluster:
 
     def _task_changed(self, key: str, before: Object | None, now: Object | None) -> None:
         if _demand(before) != _demand(now):
+            if before is None and now is not None:
+                self._events.note(now)
+            if before is not None and (now is None or is_withdrawn(now)):
+                self._events.end(before)
             self._wake("tasks")
+
+    def rule_events(self) -> Sequence[RuleEvent]:
+        """The events that tasks brought since the process was started, and those of tasks that were there."""
+        return self._events.all()
 
     def _node_changed(self, key: str, before: Any, now: Any) -> None:
         self._wake("nodes")
 
     def _application_changed(self, key: str, before: Any, now: Any) -> None:
         self._wake("applications")
+
+    def _pod_changed(self, key: str, before: PodState | None, now: PodState | None) -> None:
+        lost = self._losses.note(before, now, int(self._now() * 1e9))
+        if lost or placed(before) != placed(now):
+            self._wake("applications")
+
+    def probe_losses(self) -> Sequence[ProbeLoss]:
+        """The losses of readiness since the process was started."""
+        return self._losses.all()
 
     def tasks(self) -> Sequence[Object]:
         """All TaskDescriptions of the namespaces."""
@@ -220,7 +241,7 @@ def read_node(item: Object) -> NodeState:
     status = item.get("status", {})
     labels = metadata.get("labels", {})
     ready: Object = next((c for c in status.get("conditions", []) if c["type"] == "Ready"), {})
-    since = _time_ns(ready.get("lastTransitionTime"))
+    since = read_time_ns(ready.get("lastTransitionTime"))
     return NodeState(
         name=metadata["name"],
         agent=labels.get(AGENT_LABEL, ""),
@@ -238,7 +259,7 @@ def read_node(item: Object) -> NodeState:
         ready_since=since if ready.get("status") == "True" else None,
         not_ready_since=since if ready.get("status") != "True" else None,
         silent_since=since if ready.get("status") == "Unknown" else None,
-        created=_time_ns(metadata.get("creationTimestamp")) or 0,
+        created=read_time_ns(metadata.get("creationTimestamp")) or 0,
     )
 
 
@@ -251,15 +272,6 @@ def _platform(labels: Object) -> str:
     system = labels.get("kubernetes.io/os", "")
     machine = labels.get("kubernetes.io/arch", "")
     return f"{system}/{machine}" if system and machine else ""
-
-
-def read_time(text: str) -> float:
-    """Kubernetes' time text as seconds since 1970."""
-    return datetime.fromisoformat(text.replace("Z", "+00:00")).astimezone(UTC).timestamp()
-
-
-def _time_ns(text: str | None) -> int | None:
-    return None if text is None else int(read_time(text)) * 1_000_000_000
 
 
 def read_application(item: Object) -> ApplicationState:
@@ -281,20 +293,5 @@ def read_application(item: Object) -> ApplicationState:
         health=status.get("health", {}).get("status", ""),
         conditions=tuple(text[:CONDITION_CHARACTERS_MAX] for text in conditions[:CONDITIONS_MAX]),
         deleting=bool(metadata.get("deletionTimestamp")),
-        health_since=_time_ns(status.get("health", {}).get("lastTransitionTime")),
-    )
-
-
-def read_pod(item: Object) -> PodState:
-    """The fields of a pod that decide."""
-    metadata = item["metadata"]
-    release = metadata.get("labels", {}).get(RELEASE_LABEL, "")
-    images = (c.get("imageID", "").rpartition("@")[2] for c in item.get("status", {}).get("containerStatuses", []))
-    return PodState(
-        namespace=metadata["namespace"],
-        name=metadata["name"],
-        release=f"{metadata['namespace']}/{release}",
-        node=item.get("spec", {}).get("nodeName", ""),
-        deleting=bool(metadata.get("deletionTimestamp")),
-        images=tuple(sorted({image for image in images if image})),
+        health_since=read_time_ns(status.get("health", {}).get("lastTransitionTime")),
     )

@@ -13,6 +13,7 @@ from prometheus_client.core import GaugeMetricFamily, Metric
 from prometheus_client.registry import Collector
 
 from robotkube.delivery.manager.core.gauges import ManagerGauges
+from robotkube.delivery.manager.core.updates.states import STATES
 from robotkube.delivery.manager.ports.telemetry import OUTCOMES, PlanFacts
 
 PREFIX = "robotkube_manager_"
@@ -55,6 +56,12 @@ METRICS = (
     Description("main_broken_files", "gauge", (), "Problems of release and source files on main."),
     Description("agents_unknown", "gauge", (), "Agents that have a Node and are not declared."),
     Description("holds", "gauge", (), "Agents that hold changes at the moment."),
+    Description(
+        "update_releases",
+        "gauge",
+        (("state", ", ".join(STATES)),),
+        "Releases that the update of their chart is not through with, or whose results nobody measures.",
+    ),
     Description("leader", "gauge", (), "1 while this process leads, 0 while it stands by."),
 )
 
@@ -114,6 +121,8 @@ class _Gauges(Collector):
         families = {metric.name: _gauge(metric) for metric in METRICS if metric.kind == "gauge"}
         for labels, count in sorted(gauges.tasks.items()):
             families["tasks"].add_metric(list(labels), count)
+        for state in STATES:
+            families["update_releases"].add_metric([state], gauges.updates.get(state, 0))
         values = {
             "tasks_waiting": gauges.waiting,
             "main_broken_files": gauges.broken_files,

@@ -35,10 +35,26 @@ class ApplicationState:
 
 
 @dataclass(frozen=True)
+class ContainerState:
+    """A container of a pod as its kubelet reports it: `probed` when it has a readiness probe, `ready` while that says
+    yes; since when it runs, how often it was started again, when it ended last (ns since 1970; None: never, or by no
+    end of its own) and why; `waiting` says why it cannot begin."""
+
+    name: str
+    probed: bool = False
+    ready: bool = False
+    restarts: int = 0
+    ended_ns: int | None = None
+    ended_why: str = ""
+    started_ns: int | None = None
+    waiting: str = ""
+
+
+@dataclass(frozen=True)
 class PodState:
     """A pod of a release: `deleting` when it has a deletion time; `node_silent_seconds` is how long its Node has not
     reported (0 while it reports), `node_gone` that there is no such Node any more; `images` are the digests that its
-    containers run."""
+    containers run. `ready_since` or `unready_since`: since when all `containers` are ready, or are not (ns)."""
 
     namespace: str
     name: str
@@ -48,6 +64,10 @@ class PodState:
     node_silent_seconds: float = 0.0
     images: tuple[str, ...] = ()
     node_gone: bool = False
+    uid: str = ""
+    containers: tuple[ContainerState, ...] = ()
+    ready_since: int | None = None
+    unready_since: int | None = None
 
 
 @dataclass(frozen=True)

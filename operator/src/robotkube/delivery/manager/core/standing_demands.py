@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
+from robotkube.delivery.deployment.core.releases import TaskCause
 from robotkube.delivery.manager.core.composition.inputs import Refused
 from robotkube.delivery.tasks.core.refusal_outlooks import without_outlook
 from robotkube.delivery.tasks.core.task_description import (
@@ -25,7 +26,7 @@ from robotkube.delivery.tasks.core.task_description import (
 from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.times import time_ns
 from robotkube.foundation.kubernetes.core.annotations import RENEWED_ANNOTATION
-from robotkube.foundation.kubernetes.core.objects import is_withdrawn, object_key
+from robotkube.foundation.kubernetes.core.objects import is_withdrawn, object_identity, object_key
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,25 @@ class PastDecision:
 
 _Read = tuple[Mapping[str, Any], Any, Any, TaskDescription | Refused]
 """A document, its metadata and spec, and the task that was read from them, or why none was."""
+
+
+Stamp = tuple[str, int]
+"""Identity and generation of an object."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a task asks for, in which generation of which object; Refused for one that cannot be read."""
+
+    stamp: Stamp
+    task: TaskDescription | Refused
+
+    def answered_by(self, cause: TaskCause) -> bool:
+        """Whether a release with this cause is there for what is asked, not for earlier parameters."""
+        if isinstance(self.task, Refused):
+            return False
+        own = self.task.cause
+        return (cause.task, cause.application, cause.parameters) == (own.task, own.application, own.parameters)
 
 
 class TaskReader:
@@ -81,6 +101,15 @@ class TaskReader:
     def document(self, key: str) -> Mapping[str, Any]:
         """The document that a task was last read from; KeyError when it was not there."""
         return self._read[key][0]
+
+    def asked(self) -> dict[str, Asked]:
+        """What each task asked for when it was read last, by key."""
+        return {key: Asked(stamp_of(entry[0]), entry[3]) for key, entry in self._read.items()}
+
+
+def stamp_of(document: Mapping[str, Any]) -> Stamp:
+    """Which object, in which generation, a document is."""
+    return object_identity(document), int(document["metadata"].get("generation", 1))
 
 
 def _inputs(metadata: Mapping[str, Any] | None, spec: Any) -> Any:

@@ -12,7 +12,9 @@ from robotkube.delivery.deployment.core.releases import TaskCause
 from robotkube.delivery.manager.core.composition.inputs import Met, Refused
 from robotkube.delivery.manager.core.conflicts import DemandOutcome, History, Postponed, Resolution
 from robotkube.delivery.manager.core.standing_demands import (
+    Asked,
     PastDecision,
+    Stamp,
     StandingDemands,
     TaskReader,
     demands_at,
@@ -20,8 +22,6 @@ from robotkube.delivery.manager.core.standing_demands import (
     past_decision,
 )
 from robotkube.delivery.tasks.core.task_description import SETTLED_REASONS, SUPERSEDED, TaskDescription
-
-_Stamp = tuple[str, int]
 
 NOTHING_TO_REMEMBER = PastDecision()
 
@@ -31,7 +31,7 @@ class DemandLedger:
 
     def __init__(self) -> None:
         self._reader = TaskReader()
-        self._known: dict[str, tuple[_Stamp, PastDecision]] = {}
+        self._known: dict[str, tuple[Stamp, PastDecision]] = {}
         self._outcomes: dict[str, DemandOutcome] = {}
         self._causes: Collection[TaskCause] = ()
         self._answered: frozenset[str] = frozenset()
@@ -41,7 +41,7 @@ class DemandLedger:
     def read(self, documents: Sequence[Mapping[str, Any]], now_ns: int) -> StandingDemands:
         """Read the tasks, and return the demands that stand at `now_ns`."""
         self.demands = demands_at(self._reader.read(documents), now_ns)
-        known: dict[str, tuple[_Stamp, PastDecision]] = {}
+        known: dict[str, tuple[Stamp, PastDecision]] = {}
         for key, task in self.demands.live.items():
             stamp = (task.identity, task.generation)
             memory = self._known.get(key)
@@ -53,6 +53,10 @@ class DemandLedger:
         self._known = known
         self._outcomes = {key: outcome for key, outcome in self._outcomes.items() if key in known}
         return self.demands
+
+    def asked(self) -> Mapping[str, Asked]:
+        """What each task asked for when it was read last."""
+        return self._reader.asked()
 
     def foresee(self, document: Mapping[str, Any], now_ns: int) -> TaskDescription | Refused:
         """The demand that a document would make at `now_ns`, which is its creation unless it states another."""

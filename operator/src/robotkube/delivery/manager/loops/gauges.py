@@ -9,6 +9,7 @@ from typing import Any
 
 from robotkube.delivery.manager.core.gauges import ManagerGauges
 from robotkube.delivery.manager.core.placement.scopes import unknown_nodes
+from robotkube.delivery.manager.core.updates.states import ReleaseUpdate
 from robotkube.delivery.manager.ports.cluster import Cluster
 from robotkube.delivery.tasks.core.task_description import REASONS
 from robotkube.delivery.tasks.ports.store import TaskStore
@@ -19,14 +20,15 @@ OTHER = "Other"
 
 @dataclass(frozen=True)
 class GaugeReader:
-    """A reader of the gauges from what the process knows already, without the network. `broken`, `holds` and `leading`
-    give its own state."""
+    """A reader of the gauges from what the process knows already, without the network. `broken`, `holds`, `updates`
+    and `leading` give its own state."""
 
     store: TaskStore
     cluster: Cluster
     agents: frozenset[str]
     broken: Callable[[], int] = int
     holds: Callable[[], int] = int
+    updates: Callable[[], Mapping[str, ReleaseUpdate]] = dict
     leading: Callable[[], bool] = lambda: True
 
     def read(self) -> ManagerGauges:
@@ -39,6 +41,7 @@ class GaugeReader:
             broken_files=self.broken(),
             unknown_agents=len(unknown),
             holds=self.holds(),
+            updates=Counter(one.state for one in self.updates().values()),
             leading=self.leading(),
         )
 

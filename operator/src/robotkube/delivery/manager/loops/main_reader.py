@@ -19,7 +19,7 @@ from robotkube.delivery.deployment.loops.main_history import older_files, releas
 from robotkube.delivery.manager.core.plans import Change
 from robotkube.delivery.manager.core.respected_edits import respected
 from robotkube.errors import InputError
-from robotkube.foundation.forge.ports.repositories import Commit, DeploymentRepository
+from robotkube.foundation.forge.ports.repositories import Commit, DeploymentRepository, NoteTexts
 from robotkube.registry.catalogue.core.catalogue import Catalogue
 from robotkube.registry.catalogue.core.entry_documents import entry_documents
 
@@ -38,10 +38,12 @@ class MainReader:
     """Main of the deployment repository: its releases and sources, policies/initial.yaml and policies/edits.yaml.
 
     `edits` are the releases whose file a person was the last to change: path -> the person's commit. `new_commits` are
-    those that the last reading brought, oldest first, at most COMMITS_READ_MAX."""
+    those that the last reading brought, oldest first, at most COMMITS_READ_MAX; `notes` those of its commits with the
+    outcomes of plans (None: nobody reads them)."""
 
-    def __init__(self, repository: DeploymentRepository) -> None:
+    def __init__(self, repository: DeploymentRepository, notes: NoteTexts | None = None) -> None:
         self._repository = repository
+        self.notes = notes
         self.tip = ""
         self.tree = Tree({}, {})
         self.policy = InitialPolicy()

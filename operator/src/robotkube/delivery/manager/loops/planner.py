@@ -42,14 +42,15 @@ from robotkube.delivery.manager.core.plans import (
     lost_node_text,
     make_plan,
 )
+from robotkube.delivery.manager.core.standing_demands import Asked
 from robotkube.delivery.manager.core.standing_evidence import EVIDENCE_REASONS, with_doubtful
-from robotkube.delivery.manager.core.updates import Pin
+from robotkube.delivery.manager.core.updates.memory import Pin
 from robotkube.delivery.manager.loops.constraints import Constraints
 from robotkube.delivery.manager.loops.demand_ledger import DemandLedger
 from robotkube.delivery.manager.loops.initial_refusals import InitialRefusals
 from robotkube.delivery.manager.loops.main_reader import MainReader
 from robotkube.delivery.manager.loops.proposals.plan_records import PlanRecord
-from robotkube.delivery.manager.loops.updates import UpdatePlanner
+from robotkube.delivery.manager.loops.updates.update_planner import UpdatePlanner
 from robotkube.delivery.manager.loops.verified_images import INITIAL, ImageRefusals, VerifiedImages, blamed
 from robotkube.delivery.manager.ports.cluster import Cluster
 from robotkube.delivery.tasks.core.holds import DeviceHold
@@ -108,7 +109,7 @@ class Planner:
         self._ledger = DemandLedger()
         self._lock = threading.Lock()
         self._memo = Memo()
-        self._updates = UpdatePlanner(main.repository, cluster)
+        self.updating = UpdatePlanner(main.repository, cluster, main.notes)
         self._known_fleet: tuple[tuple[NodeState, ...], int, int, Fleet] | None = None
         self._tasks_per_plan = TASKS_PER_PLAN_MAX
         self._held: dict[str, tuple[str, PlanRecord]] = {}
@@ -121,6 +122,7 @@ class Planner:
         self._planned_tasks: list[TaskDescription] = []
         self.desired = Composition({}, {})
         self.outcomes: Mapping[str, DemandOutcome] = {}
+        self.decided: Mapping[str, Asked] = {}
         self.tasks: Mapping[str, TaskDescription] = {}
         self.next_due_ns: int | None = None
 
@@ -171,7 +173,7 @@ class Planner:
         """Decide which versions main's releases keep this time, and whether one chart may be updated or reverted."""
         present = self._constraints.own(self._main.tree).releases
         held = {hold.agent for hold in self._all_holds()}
-        self._updates.decide(present, self._main.tip, self._catalogue, self._fleet(), held, self._now_ns)
+        self.updating.decide(present, self._main.tip, self._catalogue, self._fleet(), held, self._now_ns)
 
     def _update(self, steady: Composition, others_wait: bool) -> Plan | None:
         """The plan of one update or revert, when it may be made now."""
@@ -180,7 +182,7 @@ class Planner:
             return self._resolve(self._planned_tasks, self._ledger.history(self._causes()), pins).desired
 
         own = self._constraints.own(self._main.tree).releases
-        step = self._updates.step(steady, own, others_wait, with_pins)
+        step = self.updating.step(steady, own, others_wait, with_pins)
         if step is None:
             return None
         move = step[0]
@@ -188,7 +190,7 @@ class Planner:
         if not changes or self._is_held(changes):
             return None
         if problems := self._images.problems(changes, self._catalogue.catalogue):
-            self._updates.unfit(move, "; ".join(f"release {key}: {text}" for key, text in problems.items()))
+            self.updating.unfit(move, "; ".join(f"release {key}: {text}" for key, text in problems.items()))
             return None
         plan = self._make_plan(changes, self.desired, self.tasks, move.cause, move.reason)
         return replace(plan, message=replace(plan.message, causes=(), reverts=move.undone[-REVERTS_MAX:]))
@@ -285,6 +287,7 @@ class Planner:
         held = {key: Met((), ("accepted, but the gate refused the plan",)) for key in self._held}
         initial = {k: o for k, o in resolution.outcomes.items() if k not in self.tasks}
         self.outcomes = {**initial, **self._ledger.outcomes, **held}
+        self.decided = self._ledger.asked()
         described = {key: _met_or_refused(outcome) for key, outcome in self.outcomes.items()}
         self.desired = replace(resolution.desired, outcomes=described)
         times = [
@@ -393,7 +396,7 @@ class Planner:
         refused = self._constraints.refused_before(tasks, live, gone, releases)
         for _ in range(len(tasks) + 1):
             inside = [task for task in tasks if task.key not in refused]
-            resolution = self._within(inside, history, self._updates.updates.pins if pins is None else pins)
+            resolution = self._within(inside, history, self.updating.updates.pins if pins is None else pins)
             now_gone = {**gone, **_gone({**resolution.outcomes, **refused})}
             refusals = self._constraints.refused_after(inside, live, now_gone, releases, resolution.outcomes)
             if not refusals:
@@ -413,7 +416,7 @@ class Planner:
             self._validate,
             others={} if present is tree.releases else _without(tree.releases, present),
             pins=pins,
-            withheld=self._updates.updates.withheld,
+            withheld=self.updating.updates.withheld,
             schema=self._catalogue.schema,
         )
         initial = initial_demands(self._catalogue.catalogue, self._main.policy, own_fleet)

@@ -83,7 +83,7 @@ class ApplicationManager:
         self._now_ns = now_ns
         self._monotonic = monotonic
         self._after_step = after_step
-        self._statuses = StatusWriter(ports.tasks, now_ns)
+        self._statuses = StatusWriter(ports.tasks, now_ns, ports.broken_links, ports.cluster.pods)
         self.statistics = ManagerStatistics()
         self.records = PlanRecords(now_ns())
         self._flags = {TASKS, DEPLOYMENT, CATALOGUE}
@@ -219,9 +219,8 @@ class ApplicationManager:
         if self._proposal is not None and reads:
             self._poll_decision(self._proposal)
         closed = self._proposal is not None and TASKS in flags and self._supersede(self._proposal)
-        if closed:
-            pass  # main is read first: the gate may have been faster
-        elif flags & PLANNED_FOR or self._flags & PLANNED_FOR:
+        # after a proposal was closed main is read first: the gate may have been faster
+        if not closed and (flags & PLANNED_FOR or self._flags & PLANNED_FOR):
             self._plan_if_free()
         if flags & PLANNED_FOR:
             self._upkeep.resync()
@@ -409,7 +408,7 @@ class ApplicationManager:
     def _decide(self, started: int) -> Plan | None:
         begun = self._monotonic()
         plan = self._planner.plan(started) if not self._main.tree.problems else self._repairing.plan(started)
-        self.statistics.decided(self._monotonic() - begun)
+        self.statistics.decided(self._monotonic() - begun, self._planner.updating.updates)
         return plan
 
     def _took_over(self, plan: Plan | None, seen: int, started: int) -> bool:
@@ -467,6 +466,7 @@ class ApplicationManager:
     def _situation(self) -> Situation:
         return Situation(
             outcomes=self._planner.outcomes,
+            decided=self._planner.decided,
             offloaded=self._planner.offloaded,
             held=self._planner.held,
             waiting=self._planner.waiting,

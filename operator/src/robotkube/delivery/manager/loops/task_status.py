@@ -5,22 +5,25 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any
 
 from robotkube.delivery.deployment.core.policies.edits import PATH as EDITS
 from robotkube.delivery.deployment.core.releases import RELEASES, Release, application_name
+from robotkube.delivery.manager.core.broken_links import BrokenLinks, link_faults
 from robotkube.delivery.manager.core.composition.inputs import Met, Refused
 from robotkube.delivery.manager.core.conflicts import DemandOutcome, Postponed
 from robotkube.delivery.manager.core.decision_history import with_decision
-from robotkube.delivery.manager.core.observation import ApplicationState, ReleaseVerdict, judge_present
-from robotkube.delivery.manager.core.standing_demands import moment
+from robotkube.delivery.manager.core.observation import ApplicationState, PodState, ReleaseVerdict, judge_present
+from robotkube.delivery.manager.core.pod_troubles import pod_troubles
+from robotkube.delivery.manager.core.standing_demands import Asked, moment, stamp_of
 from robotkube.delivery.manager.loops.proposals.plan_records import PlanRecord
 from robotkube.delivery.tasks.core.refusal_outlooks import with_outlook
 from robotkube.delivery.tasks.core.task_description import (
     EDITED_BY_HAND,
     HELD_BY_AGENT,
+    LINK_BROKEN,
     MERGED,
     OBSTACLES,
     OLD_POD_UNREACHABLE,
@@ -37,10 +40,13 @@ from robotkube.errors import InputError, RobotKubeError
 from robotkube.foundation.documents.core.times import time_text
 from robotkube.foundation.kubernetes.core.objects import is_withdrawn, object_identity, object_key
 
+PodsOf = Callable[[str], Sequence[PodState]]
+"""The pods of a release (key)."""
+
 MESSAGE_CHARACTERS_MAX = 4096
 CLEARED: Mapping[str, Any] = dict.fromkeys(("plan", "pullRequest", "commit", "releases", "queue", "offloaded"))
 UNDECIDED = {"Accepted": "Unknown", "Committed": "False"}  # conditions of a task that could not be decided yet
-REPORTED_REASONS = frozenset({*REFUSAL_REASONS, PROPOSAL_REFUSED, EDITED_BY_HAND, *OBSTACLES})
+REPORTED_REASONS = frozenset({*REFUSAL_REASONS, PROPOSAL_REFUSED, EDITED_BY_HAND, LINK_BROKEN, *OBSTACLES})
 
 WRITERS = 4
 ALONE_MAX = 3  # so few statuses are written one after the other
@@ -51,12 +57,15 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Situation:
-    """The inputs from which statuses are derived. `outcomes` by task key; `offloaded` are tasks that run elsewhere;
+    """The inputs from which statuses are derived. `outcomes` by task key; `decided` says what each task asked for then;
+    `offloaded` are tasks that run elsewhere;
     `held` are refusals of the gate by task key; `waiting` says which agents hold changes of a task; `proposed` is the
     plan under decision; `committed` finds the newest plan on main that names a task; `edited` says who changed a
-    release by hand that stays so, by path; `obstacle` is reason and message of what keeps every plan from main now."""
+    release by hand that stays so, by path; `obstacle` is reason and message of what keeps every plan from main now;
+    `broken` are links that bridges do not carry; `pods` gives those of a release (key)."""
 
     outcomes: Mapping[str, DemandOutcome] = field(default_factory=dict)
+    decided: Mapping[str, Asked] = field(default_factory=dict)
     offloaded: frozenset[str] = frozenset()
     held: Mapping[str, PlanRecord] = field(default_factory=dict)
     waiting: Mapping[str, str] = field(default_factory=dict)
@@ -66,6 +75,8 @@ class Situation:
     committed: Callable[[str], PlanRecord | None] = lambda task: None
     edited: Mapping[str, str] = field(default_factory=dict)
     obstacle: tuple[str, str] | None = None
+    broken: BrokenLinks = field(default_factory=dict)
+    pods: PodsOf = lambda release: ()
 
 
 @dataclass(frozen=True)
@@ -91,14 +102,23 @@ class _Due:
 class StatusWriter:
     """The writer of tasks' statuses: it writes those that differ from what stands there."""
 
-    def __init__(self, tasks: TaskStore, now_ns: Callable[[], int]) -> None:
+    def __init__(
+        self,
+        tasks: TaskStore,
+        now_ns: Callable[[], int],
+        broken: Callable[[], BrokenLinks] = dict,
+        pods: PodsOf = lambda release: (),
+    ) -> None:
         self._tasks = tasks
+        self._broken = broken
+        self._pods = pods
         self._now_ns = now_ns
         self._written: dict[str, _Written] = {}
         self._held_until_ns: int | None = None
 
     def write(self, situation: Situation) -> None:
         """Bring the statuses of all tasks up to date; mere messages may be held back, see `seconds_until_due`."""
+        situation = replace(situation, broken=self._broken(), pods=self._pods)
         documents = {object_key(d): d for d in self._tasks.tasks() if not is_withdrawn(d)}
         kept = self._written.items()
         self._written = {key: written for key, written in kept if written.identity == _identity(documents.get(key))}
@@ -126,10 +146,13 @@ class StatusWriter:
 
     def _due(self, key: str, document: Mapping[str, Any], situation: Situation) -> _Due | None:
         """The status of a task that is to be written; None when it does not differ from what stands there."""
-        conditions, facts = derive(key, situation)
+        stamp = stamp_of(document)
+        asked = situation.decided.get(key)
+        outcome = situation.outcomes.get(key) if asked is not None and asked.stamp == stamp else None
+        conditions, facts = derive(key, outcome, situation)
         if not conditions:
             return None
-        generation = int(document["metadata"].get("generation", 1))
+        generation = stamp[1]
         written = self._written.get(key)
         before = written.status if written else document.get("status") or {}
         now = datetime.fromtimestamp(self._now_ns() / 1e9, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
@@ -137,7 +160,7 @@ class StatusWriter:
             "observedGeneration": generation,
             "conditions": write_conditions(conditions, before.get("conditions", []), generation, now),
             **facts,
-            **_history(situation.outcomes.get(key), conditions[0], before.get("history", []), generation, now),
+            **_history(outcome, conditions[0], before.get("history", []), generation, now),
         }
         if all(before.get(name) == value for name, value in status.items()):
             return None
@@ -217,9 +240,11 @@ def _identity(document: Mapping[str, Any] | None) -> str | None:
     return object_identity(document) if document is not None else None
 
 
-def derive(key: str, situation: Situation) -> tuple[list[StatusCondition], dict[str, Any]]:
-    """The conditions and the other fields of a task's status; nothing when the task was not decided yet."""
-    outcome = situation.outcomes.get(key)
+def derive(
+    key: str, outcome: DemandOutcome | None, situation: Situation
+) -> tuple[list[StatusCondition], dict[str, Any]]:
+    """The conditions and the other fields of a task's status; nothing when the task, as it is now, was not decided
+    yet."""
     if outcome is None:
         obstacle = _obstacle(situation)
         return [StatusCondition(kind, status, *obstacle) for kind, status in UNDECIDED.items() if obstacle], {}
@@ -234,7 +259,8 @@ def derive(key: str, situation: Situation) -> tuple[list[StatusCondition], dict[
     verdicts = _verdicts(outcome, situation)
     conditions = [accepted, committed]
     if committed.status == "True":
-        conditions += [_synced(verdicts), _ready(verdicts, record)]
+        faults = link_faults(outcome.links, situation.broken)
+        conditions += [_synced(verdicts), _ready(verdicts, record, faults, situation.pods)]
     offloaded = True if key in situation.offloaded else None
     return conditions, {"releases": list(outcome.releases), "queue": None, "offloaded": offloaded, **_facts(record)}
 
@@ -258,7 +284,7 @@ def _committed(key: str, outcome: Met, situation: Situation) -> tuple[StatusCond
     if key in situation.waiting:
         return StatusCondition("Committed", "False", HELD_BY_AGENT, _bounded(situation.waiting[key])), None
     releases = [situation.present.get(f"{RELEASES}/{name}.yaml") for name in outcome.releases]
-    if releases and all(release and key in {c.task for c in release.causes} for release in releases):
+    if releases and all(_answers(release, key, situation) for release in releases):
         record = situation.committed(key)
         number = f" by pull request {record.pull_request}" if record and record.pull_request is not None else ""
         commit = f"commit {record.commit[:12]}" if record and record.commit else "its releases are"
@@ -267,6 +293,12 @@ def _committed(key: str, outcome: Met, situation: Situation) -> tuple[StatusCond
     if held is not None:
         return StatusCondition("Committed", "False", PROPOSAL_REFUSED, _bounded(held.error or "")), held
     return _waiting(key, outcome, situation)
+
+
+def _answers(release: Release | None, key: str, situation: Situation) -> bool:
+    """Whether main's release is there for what the task asks now, not for the parameters that it had before."""
+    asked = situation.decided.get(key)
+    return release is not None and asked is not None and any(map(asked.answered_by, release.causes))
 
 
 def _obstacle(situation: Situation) -> tuple[str, str] | None:
@@ -299,7 +331,7 @@ def _edited(key: str, outcome: Met, situation: Situation) -> str:
     for path in (f"{RELEASES}/{name}.yaml" for name in outcome.releases):
         release = situation.present.get(path)
         who = situation.edited.get(path)
-        if who and (release is None or key not in {cause.task for cause in release.causes}):
+        if who and not _answers(release, key, situation):
             words.append(f"{path} was {'removed' if release is None else 'changed'} by {who}")
     advice = f"{EDITS} respects that: withdraw the task, bring the release back, or write `edits: revert` there"
     return f"{'; '.join(words)}. {advice}" if words else ""
@@ -321,13 +353,18 @@ def _synced(verdicts: Mapping[str, ReleaseVerdict]) -> StatusCondition:
     return StatusCondition("Synced", "True", "Applied", "Argo CD compared and applied every release")
 
 
-def _ready(verdicts: Mapping[str, ReleaseVerdict], record: PlanRecord | None) -> StatusCondition:
-    missing = [f"{key}: {verdict.message}" for key, verdict in verdicts.items() if not verdict.done]
+def _ready(
+    verdicts: Mapping[str, ReleaseVerdict], record: PlanRecord | None, faults: Sequence[str], pods: PodsOf
+) -> StatusCondition:
+    missing = {key: f"{key}: {verdict.message}" for key, verdict in verdicts.items() if not verdict.done}
     if missing:
-        return StatusCondition("Ready", "False", "Progressing", _bounded("; ".join(missing)))
+        words = ["; ".join([text, *pod_troubles(pods(key))]) for key, text in missing.items()]
+        return StatusCondition("Ready", "False", "Progressing", _bounded("; ".join(words)))
+    if faults:
+        return StatusCondition("Ready", "False", LINK_BROKEN, _bounded("; ".join(faults)))
     if record is not None and record.unreachable:
-        pods = ", ".join(record.unreachable)
+        names = ", ".join(record.unreachable)
         return StatusCondition(
-            "Ready", "True", OLD_POD_UNREACHABLE, _bounded(f"observed, but on dead nodes there are {pods}")
+            "Ready", "True", OLD_POD_UNREACHABLE, _bounded(f"observed, but on dead nodes there are {names}")
         )
     return StatusCondition("Ready", "True", "Observed", "every release is observed")

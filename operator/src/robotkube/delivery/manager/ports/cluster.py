@@ -7,6 +7,8 @@ from typing import Protocol
 
 from robotkube.delivery.manager.core.observation import ApplicationState, PodState
 from robotkube.delivery.manager.core.placement.placement import NodeState
+from robotkube.delivery.manager.core.updates.probe_answers import ProbeLoss
+from robotkube.delivery.manager.core.updates.rule_events import RuleEvent
 
 
 class Cluster(Protocol):
@@ -22,6 +24,14 @@ class Cluster(Protocol):
 
     def pods(self, release: str) -> Sequence[PodState]:
         """Pods of a release, named `<namespace>/<release>` (label app.kubernetes.io/instance)."""
+        ...
+
+    def rule_events(self) -> Sequence[RuleEvent]:
+        """The events of rules that tasks brought lately, also tasks that are gone."""
+        ...
+
+    def probe_losses(self) -> Sequence[ProbeLoss]:
+        """The times at which readiness probes said no lately, after they had said yes."""
         ...
 
     def report_on_node(self, node: str, reason: str, text: str) -> None:

@@ -13,6 +13,8 @@ import contextlib
 import queue
 import random
 import socket
+import ssl
+import sys
 import threading
 from collections.abc import Sequence
 from typing import Any
@@ -25,6 +27,13 @@ from paho.mqtt.properties import Properties
 from robotkube.backoffs import Random, backoff
 from robotkube.delivery.tasks.core.mqtt_messages import MESSAGE_BYTES_MAX
 from robotkube.delivery.tasks.ports.mqtt_gateway import GatewayMessage
+from robotkube.errors import InputError
+from robotkube.foundation.certificates.adapters.verification import (
+    ServerVerification,
+    client_context,
+    load_authorities,
+    sentence,
+)
 from robotkube.writes import writes
 
 SESSION_SECONDS = 24 * 3600
@@ -50,6 +59,7 @@ class PahoGateway:
         username: str,
         password: str,
         client_id: str,
+        tls: ServerVerification | None = None,
         jitter: Random = random.random,
     ) -> None:
         self._host = host
@@ -65,6 +75,11 @@ class PahoGateway:
         self._complaint = f"{client_id}: not connected to the broker yet"
         client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id, protocol=mqtt.MQTTv5, manual_ack=True)
         client.username_pw_set(username, password)
+        self._tls = tls
+        self._context = None if tls is None else client_context(tls)
+        if self._context is not None:
+            client.tls_set_context(self._context)
+            client.on_pre_connect = self._trust
         client.connect_timeout = CONNECT_SECONDS_MAX
         client.max_queued_messages_set(ANSWERS_QUEUED_MAX)
         client.on_connect = self._connected
@@ -146,7 +161,7 @@ class PahoGateway:
         pairs = zip(self._topics, reasons, strict=False)
         refused = [topic for topic, reason in pairs if reason.value >= FAILURE]
         if refused:
-            self._complain(f"the broker refuses {', '.join(refused)}; check its ACL")
+            self._complain(f"the broker refuses {', '.join(refused)}; check its rights")
         else:
             self._complaint = ""
 
@@ -158,8 +173,19 @@ class PahoGateway:
         self._put_off_next_attempt()
 
     def _failed(self, client: Any, userdata: Any) -> None:
-        self._complain(f"the broker {self._host}:{self._port} does not answer")
+        broker = f"the broker {self._host}:{self._port}"
+        error = sys.exc_info()[1]  # paho calls this while it handles what an attempt met
+        if self._tls is not None and isinstance(error, ssl.SSLError):
+            self._complain(f"no encrypted connection to {broker}: {sentence(error, self._tls)}")
+        else:
+            self._complain(f"{broker} does not answer")
         self._put_off_next_attempt()
+
+    def _trust(self, client: Any, userdata: Any) -> None:
+        """Trust, from now on, authorities that were added meanwhile."""
+        with contextlib.suppress(InputError):  # a file that is gone takes nothing away
+            if self._context is not None and self._tls is not None:
+                load_authorities(self._context, self._tls)
 
     def _put_off_next_attempt(self) -> None:
         """Tell paho, which waits after this, for how long: its own pauses are the same for all clients of a broker."""

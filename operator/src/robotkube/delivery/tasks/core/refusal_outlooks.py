@@ -12,7 +12,8 @@ from robotkube.delivery.tasks.core.task_description import (
 _STANDS = "This stands until its spec changes; the task stays until it is withdrawn"
 _RENEWABLE = "The task stays: renew its lease, or withdraw it"
 _CORRECTABLE = (
-    "The task stays, and is decided again when its spec or the catalogue changes; withdraw it when it shall not"
+    "The task stays, and nothing runs for it; it is decided again when its spec or the catalogue changes; withdraw it "
+    "when it shall not"
 )
 _DECIDED_AGAIN = (
     "The task stays, and is decided again when the catalogue, the nodes or other tasks change: it may run then; "

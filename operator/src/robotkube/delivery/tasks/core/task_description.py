@@ -44,7 +44,9 @@ REFUSAL_TEXTS: Mapping[str, str] = {
     NO_CAPABLE_NODE: "no agent with a usable node has the role, capabilities and neighbours that are asked for",
     INSUFFICIENT_RESOURCES: "the resource requests do not fit beside what is planned on the capable nodes",
     "CompositionFailed": "the application's services cannot be put together with these parameters",
-    "LinkNotPermitted": "the broker refuses a topic of a link: its sender may not write it, or its receiver read it",
+    "LinkNotPermitted": "the broker refuses a topic of a link: its sender may not write it",
+    "LinkTypeUnknown": "no bridge knows the message type of a topic of a link",
+    "LinkMismatch": "a chart at an end of a link does not open a topic of it, or opens it with another type or QoS",
     RELEASE_IN_USE: "another demand needs a release of the same name with other content",
     POSTPONED: "a conflict with other demands; the task waits in the queue",
     QUEUE_FULL: "a conflict with other demands, and the queue has no place left",
@@ -73,6 +75,7 @@ FORGE_BUSY = "ForgeBusy"
 HELD_BY_AGENT = "HeldByAgent"
 MAIN_BROKEN = "MainBroken"
 OLD_POD_UNREACHABLE = "OldPodUnreachable"
+LINK_BROKEN = "LinkBroken"
 EDITED_BY_HAND = "EditedByHand"
 OBSTACLE_TEXTS: Mapping[str, str] = {
     WAITS_FOR_APPROVAL: "the merge policy asks for a person's approval",
@@ -96,7 +99,9 @@ REASON_TEXTS: Mapping[str, Mapping[str, str]] = {
     "Synced": {"Applied": "Argo CD compared and applied every release", "Progressing": "it has not yet"},
     "Ready": {
         "Observed": "every release is observed as committed",
-        "Progressing": "not every release is observed yet",
+        "Progressing": "not every release is observed yet; the message names what a container ended by, or why it "
+        "cannot begin",
+        LINK_BROKEN: "a bridge does not carry a topic of the task's links, in the words of the message",
         OLD_POD_UNREACHABLE: "observed, but for old pods on a dead node that cannot be asked",
     },
 }

@@ -45,6 +45,7 @@ from robotkube.foundation.documents.core.times import time_text
 from robotkube.foundation.kubernetes.core.objects import object_key
 from robotkube.foundation.kubernetes.ports import Leadership
 from robotkube.foundation.runtime.ports import Series, by_one
+from robotkube.robots.bridge.core.link_reports import LINKS_TOPIC, report_release
 
 RECEIVE_SECONDS = 0.2
 STATUS_SECONDS = 0.25
@@ -70,7 +71,7 @@ class GatewayStatistics:
 class MqttTaskGateway:
     """The gateway for `operators` (name -> namespace of its tasks). `now_ns`: wall clock in ns since 1970; `monotonic`:
     a clock in seconds that never goes back; `holds` gets agent, payload and size of messages in which devices hold
-    changes."""
+    changes, `links` release, payload and size of those in which bridges say what they do not carry."""
 
     def __init__(
         self,
@@ -82,6 +83,7 @@ class MqttTaskGateway:
         now_ns: Callable[[], int],
         monotonic: Callable[[], float],
         holds: Callable[[str, bytes, int], None] = lambda agent, payload, size: None,
+        links: Callable[[str, bytes, int], None] = lambda release, payload, size: None,
         jitter: Random = random.random,
     ) -> None:
         self._operators = dict(operators)
@@ -92,6 +94,7 @@ class MqttTaskGateway:
         self._now_ns = now_ns
         self._monotonic = monotonic
         self._holds = holds
+        self._links = links
         self._jitter = jitter
         self._open = False
         self._stopping = threading.Event()
@@ -131,7 +134,8 @@ class MqttTaskGateway:
     def _set_open(self, wanted: bool) -> None:
         if wanted and not self._open:
             names = sorted(self._operators)
-            self._channel.start([prefix + name for prefix in (TASKS_TOPIC, HOLDS_TOPIC) for name in names])
+            topics = [prefix + name for prefix in (TASKS_TOPIC, HOLDS_TOPIC) for name in names]
+            self._channel.start([*topics, *(f"{LINKS_TOPIC}{name}/+" for name in names)])
         elif self._open and not wanted:
             self._channel.close()
             self._answered.clear()
@@ -153,6 +157,11 @@ class MqttTaskGateway:
     # -- orders ---------------------------------------------------------------------------------------------------
 
     def _handle(self, message: GatewayMessage) -> None:
+        if message.topic.startswith(LINKS_TOPIC):
+            if release := report_release(self._operators, message.topic):
+                self._links(release, message.payload, message.size)
+            self._channel.acknowledge(message)
+            return
         agent = message.topic.removeprefix(HOLDS_TOPIC)
         if agent != message.topic:
             if agent in self._operators:

@@ -32,6 +32,7 @@ SECRET_KEY = re.compile(_FILE_NAME_100, re.ASCII)
 # Charts and what they declare.
 CHART_NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*", re.ASCII)
 NEW_CHART_NAME = re.compile(r"[a-z]([a-z0-9]|-(?=[a-z0-9])){0,28}[a-z0-9]", re.ASCII)  # short: releases add to it
+NEW_SERVICE_NAME = re.compile(r"[a-z]([a-z0-9]|-(?=[a-z0-9]))*", re.ASCII)  # behind the name of its application
 VERSION = re.compile(rf"{_NUMBER}\.{_NUMBER}\.{_NUMBER}{_PRE_RELEASE}", re.ASCII)
 CHART_VERSION = re.compile(rf"{VERSION.pattern}(\+[0-9A-Za-z.-]{{1,64}})?", re.ASCII)  # of a chart's own file
 CAPABILITY = re.compile(r"[a-z0-9-]+(/[a-z0-9-]+)*", re.ASCII)
@@ -76,6 +77,7 @@ CHARTS_URL = re.compile(r"oci://[A-Za-z0-9.-]+(:\d{1,5})?(/[a-z0-9][a-z0-9._-]*)
 WEBHOOK_URL = re.compile(
     r"https?://(?P<host>[A-Za-z0-9][-.A-Za-z0-9]*|\[[0-9a-fA-F:]+\])(:(?P<port>[1-9][0-9]{0,4}))?(/[!-~]*)?"
 )
+DNS_NAME = re.compile(r"[a-z0-9*]([-a-z0-9.]{0,251}[a-z0-9])?", re.ASCII)  # of a certificate: * stands for a label
 HOST_LABEL = re.compile(r"[A-Za-z0-9]([-A-Za-z0-9]{0,61}[A-Za-z0-9])?", re.ASCII)
 
 # ROS and MQTT.
@@ -85,6 +87,8 @@ ROS_TOPIC_PATTERN = re.compile(  # a topic, or one per agent: {agent} stands for
     r"(/([A-Za-z_][A-Za-z0-9_]*|([A-Za-z_][A-Za-z0-9_]*)?\{agent\}[A-Za-z0-9_]*))+", re.ASCII
 )
 ROS_TYPE = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*", re.ASCII)
+ROS_PACKAGE = re.compile(r"[a-z](?:_?[a-z0-9])*", re.ASCII)  # of a new package: rosidl takes no two `_` in a row
+MESSAGE_FILE = re.compile(r"[A-Z][A-Za-z0-9]*\.msg", re.ASCII)
 ROS_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)  # of a package, message or field in a definition
 EXPRESSION_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 MQTT_TOPIC = re.compile(r"[^\s+#$/][^\s+#]{0,254}")  # of one topic, without wildcards

@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping
 import httpx
 
 from robotkube.foundation.forge.core.commit_objects import CommitObjects, write_objects
+from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
 
 HOOK_SECONDS_MAX = 5.0
 RELAY_SECONDS_MAX = 1.0  # the gate's next decision waits for it
@@ -43,7 +44,7 @@ class _PushEvents:
         self._repository = repository
         self._branch = branch
         self._headers = headers
-        self._client = httpx.Client(timeout=seconds_max)
+        self._client = httpx.Client(verify=certificate_authorities(), timeout=seconds_max)
 
     def disconnect(self) -> None:
         """Close the connection."""
@@ -98,7 +99,7 @@ class ObjectsRelay:
         self._url = url
         self._secret = secret
         self._repository = repository
-        self._client = httpx.Client(timeout=RELAY_SECONDS_MAX)
+        self._client = httpx.Client(verify=certificate_authorities(), timeout=RELAY_SECONDS_MAX)
         self._free = threading.Semaphore(1)
 
     def disconnect(self) -> None:

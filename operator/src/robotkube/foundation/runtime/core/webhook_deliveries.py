@@ -62,6 +62,13 @@ class WebhookDelivery:
         """`<organisation>/<name>`, empty when the payload names none."""
         return str((self.payload.get("repository") or {}).get("full_name") or "")
 
+    def moved_to(self, repository: str, branch: str) -> str | None:
+        """The branch's new tip when this says that it moved (empty when it does not name the tip); else None."""
+        if (self.event, self.repository, self.payload.get("ref")) != ("push", repository, f"refs/heads/{branch}"):
+            return None
+        tip = self.payload.get("after")
+        return tip if isinstance(tip, str) else ""
+
 
 def sign(body: bytes, secret: bytes) -> str:
     """Hexadecimal HMAC-SHA256 of `body`, as the forge and GitHub compute it."""

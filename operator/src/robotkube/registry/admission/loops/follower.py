@@ -14,6 +14,7 @@ from typing import Protocol
 
 from robotkube.errors import RobotKubeError
 from robotkube.foundation.forge.core.resync import RESYNC_SECONDS
+from robotkube.foundation.runtime.loops.following import step_when_woken
 from robotkube.foundation.runtime.ports import Series, by_one
 from robotkube.registry.admission.core.listing import AllowedVersions
 
@@ -92,12 +93,7 @@ class Follower:
 
     def run(self, stopping: threading.Event) -> None:
         """Step when woken, and now and then without, until `stopping` is set (and `wake` called)."""
-        while True:
-            self._woken.clear()
-            if stopping.is_set():
-                return
-            done = self.step()
-            self._woken.wait(RESYNC_SECONDS if done else RETRY_SECONDS)
+        step_when_woken(self.step, self._woken, stopping, RESYNC_SECONDS, RETRY_SECONDS)
 
     @property
     def unconfirmed_seconds(self) -> float:

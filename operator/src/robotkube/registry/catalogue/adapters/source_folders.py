@@ -17,7 +17,7 @@ from robotkube.registry.catalogue.core.sources import CatalogueSources, ChartFol
 FILES_MAX = 10_000
 CHART_FILE, VALUES_FILE, SCHEMA_FILE = "Chart.yaml", "values.yaml", "values.schema.json"
 IMAGES_ANNOTATION = "robotkube.io/images"
-UNREAD = ("schemas",)  # folders of the registry that hold no sources
+UNREAD = ("schemas", "images.yaml")  # folders and files of the registry that are no sources of the catalogue
 
 
 def read_sources(registry: Path, charts: Path | None = None) -> CatalogueSources:
@@ -45,7 +45,7 @@ def _walk(registry: Path) -> Iterator[tuple[Path, str]]:
     for place, folders, names in os.walk(registry):
         inside = Path(place).relative_to(registry)
         folders[:] = sorted(f for f in folders if not f.startswith(".") and (inside / f).as_posix() not in UNREAD)
-        for name in sorted(name for name in names if not name.startswith(".")):
+        for name in sorted(n for n in names if not n.startswith(".") and (inside / n).as_posix() not in UNREAD):
             count += 1
             if count > FILES_MAX:
                 raise InputError(f"{registry}: more than {FILES_MAX} files; name the folder of the catalogue's sources")

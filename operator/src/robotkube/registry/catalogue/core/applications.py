@@ -8,7 +8,14 @@ from functools import lru_cache
 from typing import Any
 
 from robotkube.foundation.documents.core.entry_reader import EntryReader, read_one_of, read_words
-from robotkube.foundation.documents.core.patterns import CAPABILITY, DOCUMENTS_CACHED_MAX, NAME, ROS_TYPE, VALUES_PATH
+from robotkube.foundation.documents.core.patterns import (
+    CAPABILITY,
+    DOCUMENTS_CACHED_MAX,
+    NAME,
+    ROS_TYPE,
+    VALUES_PATH,
+    VARIABLE,
+)
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.registry.catalogue.core.entries import read_description, read_for_each, read_head
 from robotkube.registry.catalogue.core.guarantees import GuaranteeRequirement, read_requirements
@@ -19,10 +26,13 @@ from robotkube.registry.evidence.core.application_statements import document_dig
 
 LINK_KINDS = ("mqtt", "ros")
 TOPIC_KEYS = ("name", "type", "channel", "reliability", "durability", "depth")
-CHANNELS = ("telemetry", "bulk")
+TOPIC_KEYS_OPTIONAL = ("deadline_seconds",)
+CHANNELS = ("safety", "telemetry", "bulk")
 DEPTH_MAX = 100_000
+DEADLINE_SECONDS_MIN, DEADLINE_SECONDS_MAX = 0.05, 10
+AGENT_LISTS_MAX = 16
 SET_BY_MANAGER = ("placement", "global")
-RESERVED = frozenset({"parameters", "agent", "task", "placement", "topics", "chart"})
+RESERVED = frozenset({"parameters", "agent", "agents", "task", "placement", "topics", "chart"})
 
 _LINK_END = ("agent", "medium", "role", "service")
 _MEDIA = ("mqtt",)
@@ -83,9 +93,19 @@ class Link:
 
 
 @dataclass(frozen=True)
+class AgentList:
+    """Agents that templates may name together: those of the role, when one is given, whose Nodes have all
+    capabilities."""
+
+    role: str = ""
+    capabilities: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class Application:
     """What the catalogue offers. `parameters` is a JSON Schema; `initial_for` a role or empty; an application that
-    provides `link/<kind>` gives the bridge service that composition puts at both ends of links of that kind.
+    provides `link/<kind>` gives the bridge service that composition puts at both ends of links of that kind. `agents`:
+    the lists of agents that its templates may use, by name.
 
     `digest` is that of its document; `evidence` that of the envelope beside it, empty when there is none; `assured`
     only when that was checked, else `evidence_problem` says what is missing."""
@@ -101,6 +121,7 @@ class Application:
     evidence: str = ""
     assured: bool = False
     evidence_problem: str = NO_EVIDENCE
+    agents: Mapping[str, AgentList] = field(default_factory=dict)
 
     @property
     def area(self) -> str:
@@ -122,7 +143,7 @@ def read_application(text: str, path: str) -> Application:
         document.get("spec") or {},
         "spec",
         ["description", "provides", "parameters"],
-        ["initialFor", "services", "links"],
+        ["initialFor", "agents", "services", "links"],
     )
     reader.equal(path, "path", f"applications/{name}.yaml")
     parameters = spec.get("parameters")
@@ -140,10 +161,31 @@ def read_application(text: str, path: str) -> Application:
         services=tuple(services),
         links=tuple(links),
         initial_for=reader.word(spec.get("initialFor"), "spec.initialFor", NAME, default=""),
+        agents=_agent_lists(reader, spec.get("agents")),
         digest=document_digest(text),
     )
     reader.finish()
     return application
+
+
+def _agent_lists(reader: Reader, value: Any) -> Mapping[str, AgentList]:
+    lists = value if value is not None else {}
+    if not isinstance(lists, Mapping) or len(lists) > AGENT_LISTS_MAX:
+        reader.problems.append(f"spec.agents: must be a mapping of at most {AGENT_LISTS_MAX} lists")
+        return {}
+    return {
+        reader.text(name, f"spec.agents.{name}", VARIABLE): _agent_list(reader, asked, f"spec.agents.{name}")
+        for name, asked in lists.items()
+    }
+
+
+def _agent_list(reader: Reader, value: Any, path: str) -> AgentList:
+    asked = reader.mapping(value or {}, path, [], ["role", "capabilities"])
+    capabilities = read_words(reader, asked.get("capabilities"), f"{path}.capabilities", NAME)
+    role = reader.word(asked.get("role"), f"{path}.role", NAME, default="")
+    if not role and not capabilities:
+        reader.problems.append(f"{path}: needs `role`, `capabilities` or both")
+    return AgentList(role, capabilities)
 
 
 def _consistency(reader: Reader, services: Sequence[Service], links: Sequence[Link]) -> None:
@@ -251,7 +293,7 @@ def _end(reader: Reader, value: Any, path: str, ros: bool) -> Mapping[str, str]:
 
 
 def _topic(reader: Reader, value: Any, path: str) -> None:
-    topic = reader.mapping(value, path, TOPIC_KEYS)
+    topic = reader.mapping(value, path, TOPIC_KEYS, TOPIC_KEYS_OPTIONAL)
     if not topic:
         return
     reader.prose(topic.get("name", ""), f"{path}.name")
@@ -262,3 +304,8 @@ def _topic(reader: Reader, value: Any, path: str) -> None:
     depth = topic.get("depth", 1)
     if isinstance(depth, bool) or not isinstance(depth, int) or not 1 <= depth <= DEPTH_MAX:
         reader.problems.append(f"{path}.depth: must be a whole number from 1 to {DEPTH_MAX}")
+    deadline = topic.get("deadline_seconds", DEADLINE_SECONDS_MAX)
+    number = isinstance(deadline, int | float) and not isinstance(deadline, bool)
+    if not number or not DEADLINE_SECONDS_MIN <= deadline <= DEADLINE_SECONDS_MAX:
+        bounds = f"from {DEADLINE_SECONDS_MIN} to {DEADLINE_SECONDS_MAX}"
+        reader.problems.append(f"{path}.deadline_seconds: must be a number of seconds {bounds}")

@@ -8,8 +8,16 @@ from typing import Any
 
 from robotkube.errors import DocumentError
 from robotkube.registry.catalogue.core.chart_versions import ChartVersion
-from robotkube.registry.catalogue.core.expected_topics import declaration_checks, expected_topics
+from robotkube.registry.catalogue.core.expected_topics import (
+    OUT,
+    ROS,
+    ExpectedTopic,
+    declaration_checks,
+    expected_topics,
+)
+from robotkube.registry.catalogue.core.message_types.published import type_problems
 from robotkube.registry.catalogue.core.sources import CatalogueSources, ChartFolder, SourceProblem, Tools
+from robotkube.registry.catalogue.core.success.measures import PATH
 from robotkube.registry.catalogue.core.template_validation import (
     AGENT,
     Problem,
@@ -19,6 +27,8 @@ from robotkube.registry.catalogue.core.template_validation import (
     value_problems,
 )
 from robotkube.registry.charts.core.values_schemas import overlay
+from robotkube.robots.ros.core.topic_patterns import AGENT as AGENT_WORD
+from robotkube.robots.ros.core.topic_patterns import TopicPattern
 
 _SET_NAMES = {"agent": None, "start_ns": None}
 _SET_SAMPLE = {"agent": AGENT, "start_ns": 1_793_268_000_000_000_000}
@@ -74,16 +84,37 @@ def _topics(
     version: ChartVersion, folder: ChartFolder, filled: Mapping[int, Mapping[str, Any]], tools: Tools
 ) -> Iterator[Problem]:
     """Problems for which the interface suite would refuse before it installs anything."""
-    expected = {}
+    expected: dict[str, tuple[ExpectedTopic, ...]] = {}
     for index, values in filled.items():
         try:
             expected[str(index)] = expected_topics(version.interfaces, overlay(folder.values, values), tools.render)
         except DocumentError as error:
             yield "spec.interfaces", f"with the values of spec.suites.sets[{index}]: {error}; correct one of them"
+    for number, topics in expected.items():
+        yield from _types(version, topics, f"with the values of spec.suites.sets[{number}]")
     if filled and len(expected) == len(filled):
+        given = [one for topics in expected.values() for one in topics]
+        yield from _rated_topics(version, given)
         for check in declaration_checks(version.interfaces, expected):
             if not check.passed:
                 yield "spec.interfaces", f"{check.name}: {check.found}; {check.fix}"
+
+
+def _rated_topics(version: ChartVersion, given: Sequence[ExpectedTopic]) -> Iterator[Problem]:
+    """Topics that an update is measured by, and that the chart does not declare as ROS outputs for any test set."""
+    published = [topic.example for topic in given if (topic.medium, topic.direction) == (ROS, OUT)]
+    for index, rate in enumerate(version.success.rates if version.success else ()):
+        fits = [topic for topic in published if TopicPattern(rate.topic).agent(topic) is not None]
+        if not fits:
+            has = ", ".join(published) or "none"
+            text = f"{rate.topic} is no ROS topic that an interface of direction out gives (with the test sets: {has})"
+            yield f"{PATH}.rates[{index}].topic", f"{text}; name one of them, with {AGENT_WORD} for the agent"
+
+
+def _types(version: ChartVersion, topics: Sequence[ExpectedTopic], condition: str) -> Iterator[Problem]:
+    places = {interface["name"]: index for index, interface in enumerate(version.interfaces)}
+    for name, text in type_problems(topics, version.images):
+        yield f"spec.interfaces[{places[name]}].type", f"{text} ({condition})"
 
 
 def _images(version: ChartVersion, folder: ChartFolder) -> Iterator[Problem]:

@@ -22,19 +22,25 @@ from robotkube.foundation.documents.core.reader import Reader
 from robotkube.registry.catalogue.core.entries import read_description, read_head
 from robotkube.registry.catalogue.core.guarantees import Guarantee, read_guarantees
 from robotkube.registry.catalogue.core.interface_declarations import read_interfaces, read_suites
+from robotkube.registry.catalogue.core.success.measures import SuccessMeasure, read_success
 from robotkube.registry.charts.core.packing import published_digest
 from robotkube.registry.charts.core.references import ChartReference
 
 STATES = ("staged", "verified", "withdrawn")
 CHANNELS = ("stable", "candidate")
 PLATFORMS = ("linux/amd64", "linux/arm64")
+WATCHED, RESTART = "watched", "restart"
+SETTINGS = (WATCHED, RESTART)
+"""How a chart's process takes changed settings: it follows its ConfigMap, or its pod is replaced."""
 NO_EVIDENCE = "its evidence was not assessed"
 
 _QUANTITY = {
     "cpu": re.compile(r"[0-9]{1,6}(\.[0-9]{1,3})?|[0-9]{1,9}m", re.ASCII),
     "memory": re.compile(r"[0-9]{1,9}(Ki|Mi|Gi)", re.ASCII),
 }
-_OPTIONAL = ("provides", "replaces", "skips", "resources", "guarantees", "interfaces", "suites")
+_OPTIONAL = (
+    "settings", "provides", "replaces", "skips", "resources", "guarantees", "interfaces", "suites", "success",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -44,8 +50,9 @@ class ChartVersion:
     `state` and `digest` (OCI manifest digest) are empty in a source; `images` are names, `image_references` what the
     published status pins. `evidence` is the digest of the summary's envelope and `policy` that of its policy, as the
     status says it; `assured` only when that evidence was checked, else `evidence_problem` says what is missing.
-    `interfaces` and `suites` are as written: templates over the chart's values. `entry` is the digest of everything
-    that a published entry says (`packing.published_digest`).
+    `settings` is one of SETTINGS, empty when the entry says nothing. `interfaces` and `suites` are written as
+    templates over the chart's values. `entry` is the digest of everything that a published entry says
+    (`packing.published_digest`).
     """
 
     chart: str
@@ -56,6 +63,7 @@ class ChartVersion:
     channel: str = "stable"
     platforms: tuple[str, ...] = ()
     images: tuple[str, ...] = ()
+    settings: str = ""
     provides: tuple[str, ...] = ()
     replaces: str = ""
     skips: tuple[str, ...] = ()
@@ -63,6 +71,7 @@ class ChartVersion:
     guarantees: tuple[Guarantee, ...] = ()
     interfaces: tuple[Mapping[str, Any], ...] = ()
     suites: Mapping[str, Any] = field(default_factory=dict)
+    success: SuccessMeasure | None = None
     image_references: tuple[str, ...] = ()
     evidence: str = ""
     policy: str = ""
@@ -129,6 +138,7 @@ def _spec(reader: Reader, spec: Mapping[str, Any]) -> dict[str, Any]:
             for index, word in enumerate(reader.sequence(spec.get("platforms"), "spec.platforms"))
         ),
         "images": read_words(reader, spec.get("images"), "spec.images", NAME),
+        "settings": read_one_of(reader, spec["settings"], "spec.settings", SETTINGS) if "settings" in spec else "",
         "provides": read_words(reader, spec.get("provides"), "spec.provides", CAPABILITY),
         "replaces": reader.word(spec.get("replaces"), "spec.replaces", VERSION, default=""),
         "skips": read_words(reader, spec.get("skips"), "spec.skips", VERSION),
@@ -136,6 +146,7 @@ def _spec(reader: Reader, spec: Mapping[str, Any]) -> dict[str, Any]:
         "guarantees": read_guarantees(reader, spec.get("guarantees"), "spec.guarantees"),
         "interfaces": read_interfaces(reader, spec.get("interfaces"), "spec.interfaces"),
         "suites": read_suites(reader, spec.get("suites"), "spec.suites"),
+        "success": read_success(reader, spec["success"]) if "success" in spec else None,
     }
     if "platforms" in spec and not attributes["platforms"]:
         reader.problems.append("spec.platforms: must name at least one platform")

@@ -81,12 +81,14 @@ def _chart(version: ChartVersion, catalogue: Catalogue) -> dict[str, Any]:
         **published,
         "platforms": list(version.platforms),
         "images": list(version.images),
+        "settings": version.settings,
         "provides": list(version.provides),
         "needs": _distinct(_needs_of_chart(version)),
         "replaces": version.replaces,
         "skips": list(version.skips),
         "resources": dict(version.resources),
         "guarantees": [dict(guarantee.document) for guarantee in version.guarantees],
+        "success": version.success.document() if version.success else None,
         "interfaces": [dict(interface) for interface in version.interfaces],
     }
 

@@ -84,7 +84,7 @@ def expected_topics(
     problems: list[str] = []
     for interface in interfaces:
         try:
-            expected += _topics(interface, values, render)
+            expected += interface_topics(interface, values, render)
         except DocumentError as error:
             problems.append(f"interface {interface.get('name')}: {error}")
     titles = [topic.title for topic in expected]
@@ -96,7 +96,10 @@ def expected_topics(
     return tuple(expected)
 
 
-def _topics(interface: Mapping[str, Any], values: Mapping[str, Any], render: Render) -> Iterator[ExpectedTopic]:
+def interface_topics(
+    interface: Mapping[str, Any], values: Mapping[str, Any], render: Render
+) -> Iterator[ExpectedTopic]:
+    """The topics that one interface gives for the chart's merged values; DocumentError when one cannot be."""
     variables = interface.get("forEach") or {}
     for names in expand_for_each(variables, {"values": values}, render):
         element = json.dumps([names[variable] for variable in variables], sort_keys=True, default=str)

@@ -29,7 +29,8 @@ class SourceProblem:
 @dataclass(frozen=True)
 class ChartFolder:
     """A chart next to the registry. `path` is its folder as the user named it, `images` what Chart.yaml says it runs
-    (None when it does not say), `schema` values.schema.json (None when there is none)."""
+    (None when it does not say), `schema` values.schema.json (None when there is none). `interfaces` and `entry_images`
+    are those of its entry, where that is known."""
 
     path: str
     name: str
@@ -37,6 +38,8 @@ class ChartFolder:
     images: tuple[str, ...] | None = None
     values: Mapping[str, Any] = field(default_factory=dict)
     schema: Mapping[str, Any] | None = None
+    interfaces: Sequence[Mapping[str, Any]] = ()
+    entry_images: Sequence[str] = ()
 
 
 @dataclass(frozen=True)

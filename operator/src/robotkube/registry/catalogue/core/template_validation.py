@@ -17,7 +17,9 @@ from robotkube.foundation.documents.core.value_templates import FOR_EACH_KEYS, e
 from robotkube.foundation.documents.core.yaml_codec import join
 from robotkube.registry.catalogue.core.applications import Application, Link, Service
 from robotkube.registry.catalogue.core.links.circles import circle_problems
+from robotkube.registry.catalogue.core.links.end_validation import end_problems
 from robotkube.registry.catalogue.core.links.loops import link_variables, repetitions
+from robotkube.registry.catalogue.core.message_types.carried import value_types
 from robotkube.registry.catalogue.core.sources import ChartFolder, Tools, dotted
 from robotkube.registry.charts.core.values_schemas import overlay
 
@@ -53,7 +55,12 @@ def application_problems(
         return problems  # what the templates would say of nothing follows from that
     samples = samples or [{}]
     tries = [
-        [problem for sample in samples for problem in _Trial(application, names, sample, folders, tools).problems()]
+        [
+            problem
+            for sample in samples
+            for listed in _listed(application)
+            for problem in _Trial(application, {**names, **listed}, sample, folders, tools).problems()
+        ]
         for names in _modes(application)
     ]
     best = min(tries, key=lambda attempt: len({key for key, _ in attempt}))
@@ -62,6 +69,13 @@ def application_problems(
             reported.add(key)
             problems.append((key, text))
     return problems
+
+
+def _listed(application: Application) -> Sequence[Mapping[str, Any]]:
+    """The lists of agents with which an application must work: all with two agents, and all empty."""
+    if not application.agents:
+        return [{}]
+    return [{"agents": dict.fromkeys(application.agents, agents)} for agents in ([AGENT, OTHER_AGENT], [])]
 
 
 def _sampling(sampler: Sampler) -> Iterator[Problem]:
@@ -74,8 +88,9 @@ def _sampling(sampler: Sampler) -> Iterator[Problem]:
 def _circles(application: Application, samples: Sequence[Mapping[str, Any]], tools: Tools) -> Iterator[Problem]:
     placed = {service.name: AGENT for service in application.services}
     names = [
-        {"placement": placed, "parameters": with_defaults(application.parameters, sample), **mode, **other}
+        {"placement": placed, "parameters": with_defaults(application.parameters, sample), **listed, **mode, **other}
         for sample in samples
+        for listed in _listed(application)
         for mode in ([] if application.bridges else _modes(application))
         for other in ({}, {"agent": OTHER_AGENT} if "agent" in mode else {})
     ]
@@ -101,6 +116,7 @@ def _unknown_names(application: Application, tools: Tools) -> Iterator[Problem]:
         "task": TASK_NAMES,
         "chart": CHART_NAMES,
         "agent": None,
+        "agents": list(application.agents),
     }
     if application.bridges:
         keys = {"agent": None, "topics": ("out", "in")}
@@ -179,6 +195,8 @@ class _Trial:
         for index, link in enumerate(self.application.links):
             for key, text in self._link(link, f"spec.links[{index}]"):
                 yield key, text + hint
+        for key, text in end_problems(self.application, self._given(), self.folders, self.tools):
+            yield key, text + hint
 
     def _given(self) -> dict[str, Any]:
         """The names for templates outside of every loop."""
@@ -203,6 +221,7 @@ class _Trial:
             if not problems:
                 for folder in self.folders.get(service.name, ()):
                     yield from value_problems(folder, values, f"{path}.values", self.tools)
+                    yield from value_types(folder, values, f"{path}.values", self.tools.render)
 
     def _release_name(self, service: Service, path: str, scope: Mapping[str, Any]) -> Iterator[Problem]:
         name, problems = rendered(service.release, f"{path}.release", scope, self.tools)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from robotkube.errors import DocumentError
@@ -12,6 +12,7 @@ from robotkube.registry.catalogue.core.catalogue import RELEASE_POLICY, VERIFICA
 from robotkube.registry.catalogue.core.chart_validation import chart_problems, folder_findings
 from robotkube.registry.catalogue.core.chart_versions import ChartVersion, read_chart_version
 from robotkube.registry.catalogue.core.guarantees import shortfall
+from robotkube.registry.catalogue.core.message_types.carried import link_problems
 from robotkube.registry.catalogue.core.sources import CatalogueSources, ChartFolder, SourceProblem, Tools, findings_of
 from robotkube.registry.catalogue.core.template_validation import application_problems
 from robotkube.registry.catalogue.core.upgrade_graph import upgrade_problems
@@ -99,6 +100,7 @@ def _application(
         yield from ((f"spec.services[{index}].chart{key}", text) for key, text in problems)
         folders[service.name] = _folders(service.chart, readable, sources)
     yield from _bridging(application, readable)
+    yield from link_problems(application)
     if not broken:
         yield from _named_applications(application.parameters, readable)
         yield from application_problems(application, folders, tools)
@@ -146,7 +148,7 @@ def _folders(wanted: ChartRequirement, readable: _Readable, sources: CatalogueSo
         if version is None or not in_range(version.version, wanted.version):
             continue
         if wanted.name == folder.name or (wanted.provides and wanted.provides in version.provides):
-            folders.append(folder)
+            folders.append(replace(folder, interfaces=version.interfaces, entry_images=version.images))
     return folders
 
 

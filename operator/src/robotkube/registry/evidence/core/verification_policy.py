@@ -27,6 +27,8 @@ SUMMARY = "summary"  # the name of the summary's file next to those of the suite
 SUITES_MAX = 16
 SECONDS_MAX = 3600
 SOAK_SECONDS = 60
+MEMORY_GROWTH_PERCENT = 10
+SOAK_KEYS = ("soakSeconds", "memoryGrowthPercent")
 SOAKING = "install"  # the suite that soaks
 COMMAND_WORDS_MAX = 32
 COMMAND_CHARACTERS_MAX = 1024
@@ -36,7 +38,8 @@ COMMAND_CHARACTERS_MAX = 1024
 class SuiteRule:
     """One suite that has to pass. `seconds` bounds a run; a user's own suite names the `image` (by digest) that is
     the suite and perhaps its `command`; `installs`: it needs the chart installed. `soak_seconds`: how long the suite
-    `install` keeps the chart running under traffic."""
+    `install` keeps the chart running under traffic, `memory_growth_percent`: how much of its memory limit a container
+    may grow meanwhile."""
 
     name: str
     version: str
@@ -45,6 +48,7 @@ class SuiteRule:
     command: tuple[str, ...] = ()
     installs: bool = False
     soak_seconds: int = 0
+    memory_growth_percent: int = 0
 
 
 @dataclass(frozen=True)
@@ -81,7 +85,7 @@ def read_verification_policy(text: str, path: str = PATH) -> VerificationPolicy:
 
 
 def _rule(reader: Reader, value: Any, path: str) -> SuiteRule:
-    rule = reader.mapping(value, path, ["name", "version", "seconds"], ["image", "command", "installs", "soakSeconds"])
+    rule = reader.mapping(value, path, ["name", "version", "seconds"], ["image", "command", "installs", *SOAK_KEYS])
     name = reader.word(rule.get("name"), f"{path}.name", SUITE_NAME)
     if name == SUMMARY:
         reader.problems.append(f"{path}.name: {SUMMARY!r} is taken; choose another")
@@ -95,6 +99,7 @@ def _rule(reader: Reader, value: Any, path: str) -> SuiteRule:
         command=_command(reader, rule.get("command"), f"{path}.command"),
         installs=_installs(reader, rule.get("installs", False), f"{path}.installs"),
         soak_seconds=_soak_seconds(reader, name, rule, path),
+        memory_growth_percent=_memory_growth_percent(reader, name, rule, path),
     )
 
 
@@ -116,6 +121,18 @@ def _soak_seconds(reader: Reader, name: str, rule: Mapping[str, Any], path: str)
     if isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= most:
         return value
     reader.problems.append(f"{path}.soakSeconds: must be whole seconds from 0 to {most}, half of `seconds`")
+    return 0
+
+
+def _memory_growth_percent(reader: Reader, name: str, rule: Mapping[str, Any], path: str) -> int:
+    where = f"{path}.memoryGrowthPercent"
+    if name != SOAKING:
+        reader.problems += [f"{where}: only {SOAKING} soaks; remove it"] if "memoryGrowthPercent" in rule else []
+        return 0
+    value = rule.get("memoryGrowthPercent", MEMORY_GROWTH_PERCENT)
+    if isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= 100:
+        return value
+    reader.problems.append(f"{where}: must be a whole number from 1 to 100, a share of the memory limit")
     return 0
 
 

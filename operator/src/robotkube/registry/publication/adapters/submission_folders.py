@@ -13,10 +13,11 @@ from robotkube.foundation.documents.adapters.json_schema import check_schema, va
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.registry.catalogue.adapters import source_folders
 from robotkube.registry.catalogue.core.catalogue import read_application, read_chart_version
+from robotkube.registry.catalogue.core.chart_versions import ChartVersion
 from robotkube.registry.catalogue.core.sources import Tools
 from robotkube.registry.catalogue.core.validation import validate_sources
 from robotkube.registry.charts.adapters.chart_folders import pack
-from robotkube.registry.charts.core.packing import CHART_FILE
+from robotkube.registry.charts.core.packing import CHART_FILE, IMAGES_FILE
 from robotkube.registry.publication.ports import ChartSource, SubmittedSources
 
 LIBRARY = "library"
@@ -36,22 +37,48 @@ def read_images(path: Path) -> dict[str, str]:
     return images
 
 
+def known_images(given: Path | None, registry: Path) -> dict[str, str]:
+    """What the file `given` names, or without one images.yaml of the catalogue's sources, where `robotkube image push`
+    writes references; nothing when it is not there."""
+    own = registry / IMAGES_FILE
+    return read_images(given or own) if given or own.is_file() else {}
+
+
+def write_image(registry: Path, name: str, reference: str) -> Path:
+    """Write the reference of image `name` into images.yaml of the catalogue's sources, whose other lines stay."""
+    path = registry / IMAGES_FILE
+    if path.is_file() and read_images(path).get(name) == reference:
+        return path
+    lines = _text(path).splitlines() if path.is_file() else []
+    kept = [line for line in lines if line.partition(":")[0].strip("'\" ") != name]
+    text = "".join(f"{line}\n" for line in [*kept, f"{name}: {reference}"])
+    part = path.with_name(f".{path.name}.part")
+    part.write_text(text, encoding="utf-8")
+    if read_images(part).get(name) != reference:
+        part.unlink()
+        raise InputError(f"{path}: cannot be extended line by line; write into it: {name}: {reference}")
+    part.replace(path)
+    return path
+
+
 def validation_tools() -> Tools:
     """The libraries that validation needs."""
     templates = Jinja2Templates()
     return Tools(templates.render, templates.references, check_schema, validate, violations)
 
 
-def check_sources(names: Sequence[str], applications: Sequence[str], charts: Path, registry: Path) -> None:
+def check_sources(
+    names: Sequence[str], applications: Sequence[str], charts: Path, registry: Path, undone: str = "submitted"
+) -> None:
     """InputError names every mistake in what is about to be submitted (`robotkube registry validate` names those of
-    everything else too)."""
+    everything else too); `undone` is the word for what was not done with it."""
     findings = validate_sources(source_folders.read_sources(registry, charts), validation_tools())
     places = [f"{registry}/charts/{name}/" for name in names] + [f"{charts / name}/" for name in names]
     places += [f"{registry}/applications/{name}.yaml/" for name in applications]
     problems = [str(finding) for finding in findings if f"{finding.file}/".startswith(tuple(places))]
     if places and problems:
         mistakes = "1 mistake" if len(problems) == 1 else f"{len(problems)} mistakes"
-        raise InputError("\n".join([f"{mistakes} in the sources, nothing was submitted:", *problems]))
+        raise InputError("\n".join([f"{mistakes} in the sources, nothing was {undone}:", *problems]))
 
 
 def all_charts(charts: Path) -> list[str]:
@@ -85,6 +112,25 @@ def read_sources(
 
 def read_chart(name: str, charts: Path, registry: Path, images: Mapping[str, str]) -> ChartSource:
     """The chart in `charts/<name>` and the entry of its version."""
+    path, text, entry = _entry(name, charts, registry)
+    unknown = [image for image in entry.images if image not in images]
+    if unknown:
+        known = ", ".join(sorted(images)) or "none"
+        fix = "push it (robotkube image push), or give its reference in the file of --images"
+        raise InputError(f"{path}: spec.images: no reference of {', '.join(unknown)} (known: {known}); {fix}")
+    document: dict[str, Any] = read_mapping(text, str(path))
+    used = {image: images[image] for image in entry.images}
+    return ChartSource(document, pack(charts / name, used, document["spec"]), tuple(sorted(used.values())))
+
+
+def image_names(name: str, charts: Path, registry: Path) -> tuple[Path, Sequence[str]]:
+    """The entry of the version of the chart in `charts/<name>`, and the names of the images that it says it runs."""
+    path, _, entry = _entry(name, charts, registry)
+    return path, entry.images
+
+
+def _entry(name: str, charts: Path, registry: Path) -> tuple[Path, str, ChartVersion]:
+    """The entry of the chart's version: its file, its text, and what it says."""
     folder = charts / name
     version = str(_chart(folder).get("version", ""))
     path = registry / "charts" / name / f"{version}.yaml"
@@ -92,17 +138,9 @@ def read_chart(name: str, charts: Path, registry: Path, images: Mapping[str, str
         raise InputError(f"{path}: missing; write the entry of {folder / CHART_FILE}'s version {version!r}")
     text = _text(path)
     try:
-        entry = read_chart_version(text, f"charts/{name}/{version}.yaml", published=False)
+        return path, text, read_chart_version(text, f"charts/{name}/{version}.yaml", published=False)
     except DocumentError as error:
         raise DocumentError(str(path), error.problems) from error
-    unknown = [image for image in entry.images if image not in images]
-    if unknown:
-        known = ", ".join(sorted(images)) or "none"
-        fix = "give its reference in the file of --images"
-        raise InputError(f"{path}: spec.images: no reference of {', '.join(unknown)} (known: {known}); {fix}")
-    document: dict[str, Any] = read_mapping(text, str(path))
-    used = {image: images[image] for image in entry.images}
-    return ChartSource(document, pack(folder, used, document["spec"]), tuple(sorted(used.values())))
 
 
 def _application(name: str, registry: Path) -> str:

@@ -19,6 +19,7 @@ REPORT_CHARACTERS_MAX = 60_000  # of 65,535 that forges take
 
 CHECKING, WAITING, VERIFIED, REFUSED, UNCHANGED = "checking", "waiting", "verified", "refused", "unchanged"
 NOT_ENDED = ("waiting", "queued")  # of a suite that never begins when the submission is refused
+ENDED = "ended"  # before a result's time
 UNDECIDED = "Nothing is decided yet, the gate goes on by itself."
 HEADLINES: Mapping[str, str] = {
     CHECKING: "Checking",
@@ -31,7 +32,8 @@ HEADLINES: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class SuiteReport:
-    """How a suite of a chart stands: `state` is waiting, queued, running, passed, failed or unfinished."""
+    """How a suite of a chart stands: `state` is waiting, queued, running, passed, failed or unfinished; `ended` when
+    its result came, as RFC 3339."""
 
     name: str
     version: str
@@ -39,6 +41,7 @@ class SuiteReport:
     seconds: float | None = None
     note: str = ""
     failed: tuple[Check, ...] = ()
+    ended: str = ""
 
 
 @dataclass(frozen=True)
@@ -134,7 +137,8 @@ def _row(suite: SuiteReport, ended: bool) -> str:
     seconds = "" if suite.seconds is None else f"{suite.seconds:.1f} s"
     words = f"**{_word(suite)}**" if _is_bad(suite) else suite.state
     state = "not run" if ended and suite.state in NOT_ENDED else words
-    return f"| {plain(suite.name)} {plain(suite.version)} | {state} | {seconds} | {plain(suite.note)} |"
+    note = ", ".join(filter(None, (suite.note, f"{ENDED} {suite.ended}" if suite.ended else "")))
+    return f"| {plain(suite.name)} {plain(suite.version)} | {state} | {seconds} | {plain(note)} |"
 
 
 def _failure_lines(suite: SuiteReport) -> list[str]:

@@ -14,13 +14,13 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.json_codec import read_json
-from robotkube.foundation.documents.core.patterns import NAME, SUITE_NAME
+from robotkube.foundation.documents.core.patterns import IMAGE_PARTS, NAME, SUITE_NAME
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.documents.core.yaml_codec import read_mapping, write_mapping
 from robotkube.foundation.forge.core.reviews import APPROVED_BY, PULL_REQUEST
@@ -42,6 +42,9 @@ TOPIC = "submit-"
 STAGING = "staging"
 """The organisation of the OCI registry from which charts are tried; the gate alone writes it."""
 
+OWN_IMAGES = "own-images"
+"""The organisation of the OCI registry from which nodes pull images of publishers; the gate alone writes it."""
+
 _EVIDENCE_FILE = re.compile(rf"evidence/{NAME.pattern}/[^/]+_[0-9a-f]{{12}}/{SUITE_NAME.pattern}\.json", re.ASCII)
 _STATUS_KEYS = ("state", "digest", "images")
 
@@ -50,6 +53,21 @@ def publisher_place(staging: str, account: str) -> str:
     """The organisation of the OCI registry that this publisher alone writes: `staging-publisher`. What is submitted is
     pushed there, and the gate copies it to `staging`."""
     return f"{staging}-{account.lower()}"
+
+
+def pushed_place(staging: str, account: str) -> str:
+    """Where a publisher pushes images: `staging-publisher/images`; the gate copies those of a submission to
+    `own-images`, by digest, so that what nodes pull stays whatever the publisher deletes."""
+    return f"{publisher_place(staging, account)}/images"
+
+
+def own_images(references: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Name and digest of those images that are publishers' own: `<host>/own-images/<name>@<digest>`."""
+    for text in references:
+        match = IMAGE_PARTS.fullmatch(text)
+        organisation, _, name = match[2].partition("/") if match else ("", "", "")
+        if match and organisation == OWN_IMAGES and name:
+            yield name, match[3]
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,8 @@ from robotkube.registry.suites.core.requests import Replaced
 class ChartInProgress:
     """A chart of a submission while its suites run; suites by name. `attempt` is the submission's commit: a
     failed suite runs again for another one. `kept` are statements that count already, `states`, `reasons` and `since`
-    (monotonic seconds) are of those that were asked of the runner, `signed` are envelopes made in this process."""
+    (monotonic seconds) are of those that were asked of the runner, `ended` (RFC 3339) of those whose result came,
+    `signed` are envelopes made in this process."""
 
     chart: SubmittedChart
     schema: str
@@ -31,6 +32,7 @@ class ChartInProgress:
     states: dict[str, str] = field(default_factory=dict)
     reasons: dict[str, str] = field(default_factory=dict)
     since: dict[str, float] = field(default_factory=dict)
+    ended: dict[str, str] = field(default_factory=dict)
     signed: dict[str, bytes] = field(default_factory=dict)
     evidence: str = ""
 
@@ -81,7 +83,8 @@ class ChartInProgress:
         if result is None:
             state = self.states.get(rule.name, "waiting")
             return SuiteReport(rule.name, rule.version, state, note=self.reasons.get(rule.name, ""))
-        return SuiteReport(rule.name, rule.version, result.outcome, result.seconds, failed=result.failed)
+        ended = self.ended.get(rule.name, "")
+        return SuiteReport(rule.name, rule.version, result.outcome, result.seconds, failed=result.failed, ended=ended)
 
 
 def _kept_seconds(statement: VerifiedStatement) -> float | None:

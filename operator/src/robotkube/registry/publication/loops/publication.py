@@ -30,6 +30,7 @@ from robotkube.registry.publication.core.submissions import KEYS, publication_fi
 from robotkube.registry.publication.loops.application_verification import ApplicationVerification
 from robotkube.registry.publication.loops.changes import ChangesOfPeople
 from robotkube.registry.publication.loops.chart_in_progress import ChartInProgress
+from robotkube.registry.publication.loops.own_image_copies import OwnImageCopies
 from robotkube.registry.publication.loops.report_comments import ReportComments
 from robotkube.registry.publication.loops.submission_reader import (
     PublicationSettings,
@@ -95,6 +96,7 @@ class PublicationLoop:
         self._settled: dict[int, str] = {}
         self._comments = ReportComments(forge, settings)
         self._reader = SubmissionReader(main, oci_registry, verifying, applications, settings, tools)
+        self._copies = OwnImageCopies(main, oci_registry)
         self._people = ChangesOfPeople(forge, main, commits, applications, settings, tools, monotonic, published)
         self._people_woken = True
         self._failed: dict[int, str] = {}
@@ -148,9 +150,11 @@ class PublicationLoop:
             for number in set(known) - set(pulls):
                 del known[number]
         self._comments.keep(pulls)
+        self._copies.keep(pulls)
         for number in sorted(pulls):
             if self._settled.get(number) != pulls[number].head:
                 self._try(pulls[number])
+        self._copies.clear()
         woken = self._people_woken
         self._people_woken = False  # before it is read: what is notified meanwhile is read for itself
         self._people.round(woken)
@@ -212,6 +216,7 @@ class PublicationLoop:
             self._main.fetch()
         if underway.tip != self._main.tip or underway.policy is None:
             self._reader.check(underway)
+            self._copies.note(underway.number, underway.submission)
         if underway.policy is not None and not underway.problems:
             self._verify(underway)
         underway.waiting_for = self._policy_problem(underway) or self._approval_missing(underway, pull)
@@ -293,6 +298,8 @@ class PublicationLoop:
         self._end(underway, REFUSED)
 
     def _end(self, underway: SubmissionInProgress, verdict: str) -> None:
+        self._copies.release(underway.number)
+        self._copies.clear()  # while it is open: a gate that is killed now does all of this again
         self._comments.report(underway, verdict)
         self._forge.close(underway.number)
         self._record(underway, verdict)
@@ -300,6 +307,7 @@ class PublicationLoop:
     def _record(self, underway: SubmissionInProgress, verdict: str) -> None:
         self._settled[underway.number] = underway.commit.id
         self._underway.pop(underway.number, None)
+        self._copies.release(underway.number)
         self.statistics.verdicts[verdict] += 1
         charts = underway.charts
         log.info(

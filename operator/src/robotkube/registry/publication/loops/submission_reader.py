@@ -4,7 +4,7 @@ results that still count collected, its applications tried."""
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from robotkube.errors import DocumentError, InputError
@@ -20,12 +20,15 @@ from robotkube.registry.evidence.core.verification_policy import VerificationPol
 from robotkube.registry.publication.core.approvals import approval_reasons
 from robotkube.registry.publication.core.submissions import (
     EVIDENCE,
+    OWN_IMAGES,
     READ_FOLDERS,
     Proposed,
     Submission,
     SubmittedChart,
     artefact_problems,
+    own_images,
     publisher_place,
+    pushed_place,
     read_submission,
     schema_path,
     schema_text,
@@ -33,6 +36,7 @@ from robotkube.registry.publication.core.submissions import (
 from robotkube.registry.publication.loops.application_verification import ApplicationVerification, TriedApplications
 from robotkube.registry.publication.loops.chart_in_progress import ChartInProgress
 from robotkube.registry.publication.loops.verification import ChartVerification
+from robotkube.registry.suites.core.image_checks import BILL_TYPE
 from robotkube.registry.suites.core.requests import Replaced
 
 log = logging.getLogger(__name__)
@@ -195,7 +199,20 @@ class SubmissionReader:
         problems = artefact_problems(chart, pulled)
         if source == place and not problems:
             self._oci_registry.copy_chart(place, staging, chart.digest, build_tag(chart.version, chart.digest), ())
-        return pulled, problems or self._staging_problems(chart)
+        return pulled, problems or self._staging_problems(chart) or list(self._image_problems(chart, author))
+
+    def _image_problems(self, chart: SubmittedChart, author: str) -> Iterator[str]:
+        """Copy the author's own images from its place to where nodes pull them; why one is in neither."""
+        for name, digest in own_images(chart.images):
+            source, target = f"{pushed_place(self._settings.staging, author)}/{name}", f"{OWN_IMAGES}/{name}"
+            try:
+                if self._oci_registry.manifest_digest(source, digest):
+                    self._oci_registry.copy_image(source, target, digest, BILL_TYPE)
+                elif not self._oci_registry.manifest_digest(target, digest):
+                    fix = "push it (`robotkube image push`) and submit the chart again"
+                    yield f"{chart.path}: image {name}: {source} has no digest {digest}; {fix}"
+            except InputError as error:
+                yield f"{chart.path}: image {name}: {digest} cannot be copied from {source}: {error}"
 
     def _replaced(self, chart: SubmittedChart, files: Mapping[str, str]) -> Replaced | None:
         """The first published version of those that this one replaces or skips."""

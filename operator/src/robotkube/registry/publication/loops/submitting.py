@@ -20,6 +20,7 @@ from robotkube.foundation.forge.ports.repositories import Proposals, RepositoryF
 from robotkube.registry.charts.core.packing import PackedChart, build_tag
 from robotkube.registry.evidence.core.statements import FOLDER as EVIDENCE
 from robotkube.registry.publication.core.report import MARKER, UNDECIDED, readable_text
+from robotkube.registry.publication.core.report_results import ReportedResult, reported_results
 from robotkube.registry.publication.core.submissions import (
     READ_FOLDERS,
     STAGING,
@@ -65,7 +66,8 @@ class SubmissionOutcome:
 
 class Submitting:
     """One publisher at one forge. `account` is the publisher's; `monotonic` and `sleep` are in seconds; `report_line`
-    gets progress, a line at a time; `opened` is called with the pull request before its decision is waited for."""
+    gets progress, a line at a time; `opened` is called with the pull request before its decision is waited for.
+    `report_result` gets each suite's result as it comes; progress is without lines of suites then."""
 
     def __init__(
         self,
@@ -79,6 +81,7 @@ class Submitting:
         report_line: Callable[[str], None] = lambda line: None,
         opened: Callable[[PullRequest], None] = lambda pull: None,
         jitter: Random = random.random,
+        report_result: Callable[[ReportedResult], None] | None = None,
     ) -> None:
         self._catalogue = catalogue
         self._proposals = proposals
@@ -90,6 +93,7 @@ class Submitting:
         self._report_line = report_line
         self._opened = opened
         self._jitter = jitter
+        self._report_result = report_result
 
     def submit(
         self, sources: SubmittedSources, wait_seconds: float, dry_run: bool = False, again: bool = False
@@ -158,7 +162,7 @@ class Submitting:
     def _wait_for_decision(
         self, opened: PullRequest, about: SubmissionOutcome, sources: SubmittedSources, end: float
     ) -> SubmissionOutcome:
-        printed: set[str] = set()
+        printed: set[str | ReportedResult] = set()
         while True:
             pull = self._patiently(lambda: self._forge.pull_request(opened.number))
             text = self._report(opened.number)
@@ -176,17 +180,30 @@ class Submitting:
         text = readable_text(text) if text else "the pull request was closed without a report of the gate\n"
         return _outcome(about, verdict, text=text, number=pull.number, url=pull.url, evidence=evidence)
 
-    def _write_progress(self, text: str, printed: set[str]) -> None:
+    def _write_progress(self, text: str, printed: set[str | ReportedResult]) -> None:
         """Report each headline, what the gate waits for, and each chart's suite once per state."""
+        if self._report_result is not None:
+            self._write_results(text, printed, self._report_result)
         chart = ""
         for line in readable_text(text).splitlines():
             if line.startswith("### "):
                 chart = f"{line.strip('# ')}: "
-            shown = line.startswith(("## ", "| ", UNDECIDED)) and not line.startswith(("| suite", "| ---"))
+            rows = () if self._report_result else ("| ",)
+            shown = line.startswith(("## ", UNDECIDED, *rows)) and not line.startswith(("| suite", "| ---"))
             state = (chart if line.startswith("| ") else "") + line.strip("#| ").replace(" | ", "  ")
             if shown and state not in printed:
                 printed.add(state)
                 self._report_line(state)
+
+    @staticmethod
+    def _write_results(
+        text: str, printed: set[str | ReportedResult], report_result: Callable[[ReportedResult], None]
+    ) -> None:
+        """Report each result that was not there before."""
+        for result in reported_results(text):
+            if result not in printed:
+                printed.add(result)
+                report_result(result)
 
     def _report(self, number: int) -> str:
         comments = self._patiently(lambda: self._forge.comments(number))

@@ -121,6 +121,7 @@ class ChartVerification:
                 result = self._ask(underway, rule)
                 if result is not None:
                     underway.results[rule.name] = result
+                    underway.ended[rule.name] = self._now()
                     came.append(result)
         except Exception:
             underway.since.clear()

@@ -11,7 +11,9 @@ from paho.mqtt.enums import CallbackAPIVersion
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from robotkube.errors import UnavailableError
+from robotkube.foundation.certificates.adapters.verification import client_context, sentence
 from robotkube.registry.suites.ports.interfaces import BrokerMessage
+from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 
 CONNECT_SECONDS_MAX = 10.0
 WAITING_MAX = 5_000
@@ -23,23 +25,26 @@ class PahoObserver:
 
     Own messages do not come back, kept ones of the past neither; QoS and retain flag are those of the publisher."""
 
-    def __init__(self, host: str, port: int, username: str, password: str, client_id: str) -> None:
+    def __init__(self, account: BrokerAccount, client_id: str) -> None:
         self._waiting: deque[BrokerMessage] = deque(maxlen=WAITING_MAX)
         self._subscribed = threading.Event()
         self._refusal = ""
         client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=mqtt.MQTTv5)
-        client.username_pw_set(username, password)
+        client.username_pw_set(account.username, account.password)
+        if account.tls is not None:
+            client.tls_set_context(client_context(account.tls))
         client.on_connect = self._connected
         client.on_subscribe = self._answered
         client.on_message = self._received
         self._client = client
         try:
-            client.connect(host, port, KEEPALIVE_SECONDS)
+            client.connect(account.host, account.port, KEEPALIVE_SECONDS)
         except OSError as error:
-            raise UnavailableError(f"broker {host}:{port}: {error}") from error
+            words = error if account.tls is None else sentence(error, account.tls)
+            raise UnavailableError(f"broker {account.host}:{account.port}: {words}") from error
         client.loop_start()
         if not self._subscribed.wait(CONNECT_SECONDS_MAX) or self._refusal:
-            raise UnavailableError(f"broker {host}:{port}: {self._refusal or 'does not answer'}")
+            raise UnavailableError(f"broker {account.host}:{account.port}: {self._refusal or 'does not answer'}")
 
     def receive(self) -> list[BrokerMessage]:
         """See the port."""

@@ -30,7 +30,7 @@ PATHS = {kind: path for kind, (_, path) in KINDS.items()} | {
 }
 
 
-class _ApiCall(Protocol):
+class ApiCall(Protocol):
     """One request to the API server; `kubernetes_api.call` with its client bound offers it. The open answer;
     UnavailableError, InputError or KeyError (no such object)."""
 
@@ -48,7 +48,7 @@ class _ApiCall(Protocol):
 class KubernetesNamespaceObjects:
     """The port NamespaceObjects in one namespace."""
 
-    def __init__(self, call: _ApiCall, namespace: str) -> None:
+    def __init__(self, call: ApiCall, namespace: str) -> None:
         self._call = call
         self._namespace = namespace
 

@@ -19,6 +19,7 @@ from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.documents.core.digests import canonical_json
 from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.patterns import SUITE_RUN
+from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
 from robotkube.registry.suites.core.requests import (
     SuiteProgress,
     SuiteRequest,
@@ -48,7 +49,13 @@ class SuiteRunnerClient:
     def __init__(self, url: str, token: str) -> None:
         self._where = f"suite-runner {url}"
         headers = {"Authorization": f"Bearer {token}", "Content-Type": "application/json"}
-        self._client = httpx.Client(base_url=url, headers=headers, timeout=TIMEOUT_SECONDS, trust_env=False)
+        self._client = httpx.Client(
+            base_url=url,
+            headers=headers,
+            verify=certificate_authorities(trust_env=False),
+            timeout=TIMEOUT_SECONDS,
+            trust_env=False,
+        )
 
     def disconnect(self) -> None:
         """Give the connection back."""

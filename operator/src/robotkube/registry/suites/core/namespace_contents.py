@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from robotkube.errors import InputError
+from robotkube.foundation.certificates.core.lives import Pair
 from robotkube.foundation.documents.core.patterns import NAME
 
 LABEL = "robotkube.io/suite"
@@ -27,12 +28,13 @@ SCRATCH_VOLUME_CLAIM = "scratch"
 SCRATCH_FOLDER = "/var/lib/robotkube/scratch"
 ACCOUNT_FOLDER = "/var/run/secrets/robotkube/broker"
 BROKER_SECRET, DATABASE_SECRET = "broker-account", "database-account"
+AUTHORITIES, AUTHORITY_FILE = "robotkube-ca", "ca.crt"
 SUITE_DATABASE = "recordings_suite"
 KINDS: Mapping[str, tuple[str, str]] = {
     "ConfigMap": ("v1", "/api/v1/namespaces/{}/configmaps"),
     "Deployment": ("apps/v1", "/apis/apps/v1/namespaces/{}/deployments"),
 }
-MQTT_PORT, DATABASE_PORT = 1883, 27017
+MQTT_PORT, MQTT_TLS_PORT, DATABASE_PORT = 1883, 8883, 27017
 USER = 10001
 TEMPORARY = "/tmp"  # noqa: S108 - a volume of the pod's own
 KEY_BYTES = 64
@@ -143,6 +145,8 @@ def refuse_name(kind: str, name: str) -> None:
         raise InputError(
             f"{kind} {name!r}: not a name for a chart's object; {HELPER_PREFIX}... is for the test namespace's own"
         )
+    if kind == "ConfigMap" and name == AUTHORITIES:
+        raise InputError(f"{kind} {name}: this name is the platform's: who may sign its certificates. Use another name")
 
 
 def _refuse_holds(kind: str, name: str, metadata: Mapping[str, Any]) -> None:
@@ -207,8 +211,16 @@ def scratch_volume() -> tuple[dict[str, Any], dict[str, Any]]:
 
 def account_volume() -> tuple[dict[str, Any], dict[str, Any]]:
     """Volume and mount of the broker's account; empty when no broker was started."""
-    volume = {"name": "account", "secret": {"secretName": BROKER_SECRET, "optional": True, "defaultMode": 0o440}}
+    authorities = {"name": AUTHORITIES, "optional": True, "items": [{"key": AUTHORITY_FILE, "path": AUTHORITY_FILE}]}
+    sources = [{"secret": {"name": BROKER_SECRET, "optional": True}}, {"configMap": authorities}]
+    volume = {"name": "account", "projected": {"defaultMode": 0o440, "sources": sources}}
     return volume, {"name": "account", "mountPath": ACCOUNT_FOLDER, "readOnly": True}
+
+
+def authorities(certificate: str) -> dict[str, Any]:
+    """The ConfigMap that says who signed the broker's certificate, as in an agent's namespace."""
+    metadata = own_metadata(AUTHORITIES)
+    return {"apiVersion": "v1", "kind": "ConfigMap", "metadata": metadata, "data": {AUTHORITY_FILE: certificate}}
 
 
 def secret(name: str, data: Mapping[str, str]) -> dict[str, Any]:
@@ -223,8 +235,8 @@ def password_line(username: str, password: str, salt: bytes) -> str:
     return f"{username}:$7${HASH_ROUNDS}${'$'.join(parts)}\n"
 
 
-BROKER_CONFIGURATION = f"""\
-listener {MQTT_PORT}
+BROKER_FOLDER = "/etc/mosquitto"
+BROKER_CONFIGURATION = """\
 allow_anonymous false
 password_file /tmp/passwords
 persistence false
@@ -234,16 +246,27 @@ log_type all
 """
 
 
-def broker_pod(name: str, image: str, agent: str, domain_id: int) -> HelperPod:
-    """A broker; Secret `name` has its `mosquitto.conf` and `passwords`. mosquitto wants a password file of its own."""
-    folder = "/etc/mosquitto"
+def broker_files(passwords: str, certificate: Pair | None) -> dict[str, str]:
+    """The files of a broker; with a certificate it speaks TLS."""
+    if certificate is None:
+        listener, more = f"listener {MQTT_PORT}\n", {}
+    else:
+        files = f"certfile {BROKER_FOLDER}/tls.crt\nkeyfile {BROKER_FOLDER}/tls.key\n"
+        listener = f"listener {MQTT_TLS_PORT}\n{files}"
+        more = {"tls.crt": certificate.certificate, "tls.key": certificate.key}
+    return {"mosquitto.conf": listener + BROKER_CONFIGURATION, "passwords": passwords, **more}
+
+
+def broker_pod(name: str, image: str, agent: str, domain_id: int, port: int = MQTT_PORT) -> HelperPod:
+    """A broker; Secret `name` has its files. mosquitto wants a password file of its own."""
+    folder = BROKER_FOLDER
     start = f"umask 077; cat {folder}/passwords > /tmp/passwords; exec mosquitto -c {folder}/mosquitto.conf"
     return HelperPod(
         name, image, agent, domain_id,
         command=["sh", "-ec", start],
         volumes=[{"name": "settings", "secret": {"secretName": name, "defaultMode": 0o440}}],
         mounts=[{"name": "settings", "mountPath": folder, "readOnly": True}],
-        port=MQTT_PORT,
+        port=port,
         memory="128Mi",
     )  # fmt: skip
 

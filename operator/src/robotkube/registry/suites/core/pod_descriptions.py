@@ -14,6 +14,7 @@ HOPELESS = frozenset(
         *("InvalidImageName", "SignatureValidationFailed"),
     ]
 )  # reasons why a container waits that no waiting ends
+BACK_OFF = "CrashLoopBackOff"
 KILLED = 137  # 128 + SIGKILL
 
 Object = Mapping[str, Any]
@@ -35,9 +36,14 @@ def pod_ready(item: Object) -> bool:
 
 
 def pod_hopeless(item: Object) -> bool:
-    """Whether a container waits for what will not come: its image, or a Secret that is not there."""
-    waiting = [((status.get("state") or {}).get("waiting") or {}) for status in container_statuses(item)]
-    return any(state.get("reason") in HOPELESS for state in waiting)
+    """Whether a container waits for what will not come, its image or a Secret that is not there, or ended twice: who
+    ends once may have come too early."""
+    return any(map(_hopeless, container_statuses(item)))
+
+
+def _hopeless(status: Object) -> bool:
+    reason = ((status.get("state") or {}).get("waiting") or {}).get("reason")
+    return reason in HOPELESS or (reason == BACK_OFF and status.get("restartCount", 0) >= 1)
 
 
 def pod_ended(item: Object) -> bool:

@@ -32,6 +32,7 @@ TEXT_CHARACTERS_MAX = 8_000
 NAME_CHARACTERS_MAX = 200
 SECONDS_MAX = 3_600
 COMMAND_WORDS_MAX = 50
+SOAK_KEYS = ("soak_seconds", "memory_growth_percent")
 STATUSES = ("queued", "running", "finished")
 OUTCOMES = ("passed", "failed", "unfinished")
 
@@ -164,9 +165,7 @@ def _artefact(reader: Reader, value: Any, path: str) -> Artefact:
 
 
 def _rule(reader: Reader, value: Any) -> SuiteRule:
-    rule = reader.mapping(
-        value, "rule", ["name", "version", "seconds"], ["image", "command", "installs", "soak_seconds"]
-    )
+    rule = reader.mapping(value, "rule", ["name", "version", "seconds"], ["image", "command", "installs", *SOAK_KEYS])
     words = reader.sequence(rule.get("command"), "rule.command")
     if len(words) > COMMAND_WORDS_MAX or not all(isinstance(word, str) for word in words):
         reader.problems.append(f"rule.command: must be a list of at most {COMMAND_WORDS_MAX} texts")
@@ -181,6 +180,7 @@ def _rule(reader: Reader, value: Any) -> SuiteRule:
         command=tuple(words),
         installs=rule.get("installs", False) is True,
         soak_seconds=int(_number(reader, rule.get("soak_seconds", 0), "rule.soak_seconds")),
+        memory_growth_percent=int(_number(reader, rule.get("memory_growth_percent", 0), "rule.memory_growth_percent")),
     )
 
 

@@ -18,6 +18,19 @@ def unsteady(before: Sequence[Pod], after: Sequence[Pod]) -> list[str]:
     return problems + [f"pod {name} came while the chart ran" for name, _ in later]
 
 
+def ends(before: Sequence[Pod], after: Sequence[Pod]) -> list[str]:
+    """Which containers were started again or ended, as sentences, of pods that are still there."""
+    later = {_identity(pod): pod for pod in after}
+    pairs = ((pod, later.get(_identity(pod))) for pod in before)
+    return [end for pod, present in pairs if present is not None for end in _ends(pod, present)]
+
+
+def came(before: Sequence[Pod], after: Sequence[Pod]) -> bool:
+    """Whether there are pods, and each of them is a new one; those that go do not count any more."""
+    present = {_identity(pod) for pod in after if not pod["metadata"].get("deletionTimestamp")}
+    return bool(present) and not {_identity(pod) for pod in before} & present
+
+
 def _identity(pod: Pod) -> tuple[str, str]:
     return str(pod["metadata"].get("name")), str(pod["metadata"].get("uid"))
 
@@ -27,14 +40,19 @@ def _of_one(before: Pod, after: Pod | None) -> Iterator[str]:
     if after is None:
         yield f"pod {name} is gone: it was evicted, deleted or replaced"
         return
-    starts = {status.get("name"): _starts(status) for status in container_statuses(before)}
-    for status in container_statuses(after):
-        yield from (f"pod {name}: container {text}" for text in _changes(starts.get(status.get("name"), 0), status))
+    yield from _ends(before, after)
     then, now = _readiness(before), _readiness(after)
     if now[0] != "True":
         yield f"pod {name} is not ready any more{f': {now[2]}' if now[2] else ''}"
     elif then[0] == "True" and now[1] != then[1]:
         yield f"pod {name} was not ready for a while, until {now[1]}"
+
+
+def _ends(before: Pod, after: Pod) -> Iterator[str]:
+    name = before["metadata"].get("name")
+    starts = {status.get("name"): _starts(status) for status in container_statuses(before)}
+    for status in container_statuses(after):
+        yield from (f"pod {name}: container {text}" for text in _changes(starts.get(status.get("name"), 0), status))
 
 
 def _starts(status: Mapping[str, Any]) -> int:

@@ -297,6 +297,19 @@ def resource_problems(rendering: Rendering, entry: Mapping[str, Any]) -> Iterato
             yield f"{here}, the entry has spec.resources.{name} {declared.get(name)}"
 
 
+def unanswered_probes(renderings: Sequence[Rendering], entry: Mapping[str, Any]) -> Iterator[str]:
+    """A sentence for each container in the entry's `spec.success.probesOf` that no pod has, or without a readiness
+    probe: nobody would ask it."""
+    named = mapping(mapping(entry.get("spec")).get("success")).get("probesOf") or ()
+    for rendering in renderings:
+        containers = [one for pod in rendering.pods for one in items(pod.spec.get("containers"))]
+        probed = [str(one.get("name")) for one in containers if one.get("readinessProbe")]
+        for name in named:
+            if name not in probed:
+                has = ", ".join(probed) or "none"
+                yield f"spec.success.probesOf: no container {name} with a readiness probe (those with one: {has})"
+
+
 def _request(spec: Mapping[str, Any], name: str) -> Decimal | None:
     """What the scheduler counts: the sum of the containers, or the largest init container."""
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.certificates.core.lives import Issued
 from robotkube.registry.suites.core import namespace_contents as contents
 from robotkube.registry.suites.core import pod_descriptions
 from robotkube.registry.suites.core.namespace_contents import (
@@ -38,7 +39,7 @@ KEPT_CONFIG_MAPS = frozenset({"kube-root-ca.crt"})
 @dataclass(frozen=True)
 class SuiteNamespaceSettings:
     """One test namespace, and the images that helpers run there; `database_kind` is mongo, ferretdb or empty (there is
-    none)."""
+    none). `certify` makes the certificate of its broker; None: that listens in clear text."""
 
     namespace: str
     domain_id: int
@@ -48,6 +49,7 @@ class SuiteNamespaceSettings:
     database_kind: str = ""
     database_image: str = ""
     database_arguments: tuple[str, ...] = ()
+    certify: Callable[[str], Issued] | None = None
 
 
 class ClusterTestNamespace:
@@ -250,14 +252,25 @@ class ClusterTestNamespace:
         if self._broker is None:
             password = secrets.token_urlsafe(24)
             line = contents.password_line("suite", password, secrets.token_bytes(12))
-            settings = {"mosquitto.conf": contents.BROKER_CONFIGURATION, "passwords": line}
-            self._api.create("Secret", contents.secret(BROKER, settings))
+            issued = self._settings.certify(BROKER) if self._settings.certify is not None else None
+            files = contents.broker_files(line, issued.pair if issued else None)
+            self._api.create("Secret", contents.secret(BROKER, files))
             image = self._settings.broker_image
-            host = self._start(contents.broker_pod(BROKER, image, self.agent, self.domain_id))
-            self._broker = SuiteAccount("suite", password, host, contents.MQTT_PORT)
+            port = contents.MQTT_TLS_PORT if issued else contents.MQTT_PORT
+            host = self._start(contents.broker_pod(BROKER, image, self.agent, self.domain_id, port))
+            self._broker = SuiteAccount("suite", password, host, port)
             self._broker_began = self._api.log(BROKER, BROKER, LOG_BYTES_MAX)[:BEGINNING_CHARACTERS]
-            self._api.create("Secret", contents.secret(BROKER_SECRET, _account_data(self._broker)))
+            self._tell(self._broker, issued)
         return self._broker
+
+    def _tell(self, broker: SuiteAccount, issued: Issued | None) -> None:
+        """Make what the chart finds in an agent's namespace: the account, and how the broker proves who it is. There is
+        no name service in a test namespace, so the certificate is for a name and the account has an address."""
+        data = {**_account_data(broker), "tls": "off"}
+        if issued:
+            self._api.create("ConfigMap", contents.authorities(issued.authority))
+            data |= {"tls": "required", "server_name": BROKER}
+        self._api.create("Secret", contents.secret(BROKER_SECRET, data))
 
     def start_database(self) -> SuiteAccount:
         """Start a database, or the one that runs."""

@@ -15,9 +15,10 @@ from robotkube.registry.suites.core import image_checks
 from robotkube.registry.suites.core.image_checks import ImageReference, Started
 from robotkube.registry.suites.core.pod_security import mapping
 from robotkube.registry.suites.core.static_checks import Rendering, check
+from robotkube.registry.suites.loops.image_bills import ImageBills
 from robotkube.registry.suites.loops.installation import filled_sets
 from robotkube.registry.suites.loops.static import AGENT, RELEASE, START_NS
-from robotkube.registry.suites.ports.suites import Subject, SuiteNamespace
+from robotkube.registry.suites.ports.suites import LayerReader, Subject, SuiteNamespace
 
 CONFIGURATION_BYTES_MAX = 1 << 20
 IMAGES_MAX = 20
@@ -25,11 +26,11 @@ IMAGES_MAX = 20
 
 @dataclass(frozen=True)
 class Image:
-    """An image that is in the OCI registry: `digests` are those a bill may be attached to;
-    `configurations` by platform."""
+    """An image that is in the OCI registry: `manifests` by digest, one for each platform; `configurations` by
+    platform."""
 
     reference: ImageReference
-    digests: tuple[str, ...]
+    manifests: Mapping[str, Mapping[str, Any]]
     configurations: Mapping[str, Mapping[str, Any]]
 
     @property
@@ -39,14 +40,16 @@ class Image:
 
 
 class ImagesSuite:
-    """Suite `images`: `host` is the platform's OCI registry as references name it, `fill` fills the test sets."""
+    """Suite `images`: `reader` reads layers, `host` is the platform's OCI registry as references name it, `fill` fills
+    the test sets."""
 
     name = "images"
-    version = "1"
+    version = "2"
     needs_namespace = False
 
-    def __init__(self, oci_registry: ImageRegistry, host: str, fill: Fill) -> None:
+    def __init__(self, oci_registry: ImageRegistry, reader: LayerReader, host: str, fill: Fill) -> None:
         self._oci_registry = oci_registry
+        self._bills = ImageBills(oci_registry, reader)
         self._host = host
         self._fill = fill
 
@@ -72,8 +75,12 @@ class ImagesSuite:
             ),
             check(
                 "bill-of-materials",
-                [problem for image in images.values() for problem in self._bill_problems(image)],
-                f"make one for this image (CycloneDX JSON) and attach it to its digest as {image_checks.BILL_TYPE}",
+                [
+                    problem
+                    for image in images.values()
+                    for problem in self._bills.problems(image.reference, image.manifests)
+                ],
+                "make the bill of this very image and attach it to its digest: robotkube image push DIR|ARCHIVE",
             ),
         ]
 
@@ -114,32 +121,20 @@ class ImagesSuite:
         if "manifests" in document:
             named = [image_checks.manifest_of(document, platform) for platform in platforms]
             digests = list(dict.fromkeys(digest for digest in named if digest))
+        manifests = {digest: self._document(reference.repository, digest) for digest in digests}
         configurations = {}
-        for digest in digests:
-            configuration = self._configuration(reference.repository, digest)
+        for digest, manifest in manifests.items():
+            configuration = self._configuration(reference.repository, digest, manifest)
             configurations[image_checks.platform_of(configuration)] = configuration
-        return Image(reference, tuple(dict.fromkeys([reference.digest, *digests])), configurations)
+        return Image(reference, manifests, configurations)
 
     def _document(self, repository: str, digest: str) -> Mapping[str, Any]:
         return _json(self._oci_registry.manifest(repository, digest), f"manifest {digest}")
 
-    def _configuration(self, repository: str, digest: str) -> Mapping[str, Any]:
-        described = mapping(self._document(repository, digest).get("config"))
+    def _configuration(self, repository: str, digest: str, manifest: Mapping[str, Any]) -> Mapping[str, Any]:
+        described = mapping(manifest.get("config"))
         data = self._oci_registry.blob(repository, str(described.get("digest")), CONFIGURATION_BYTES_MAX)
         return _json(data, f"configuration of {digest}")
-
-    def _bill_problems(self, image: Image) -> list[str]:
-        """None when one attached bill is in order."""
-        problems: list[str] = []
-        for digest in image.digests:
-            for attachment in self._oci_registry.attachments(image.reference.repository, digest):
-                if attachment.artifact_type != image_checks.BILL_TYPE:
-                    continue
-                wrong = list(image_checks.bill_problems(attachment.data, digest))
-                if not wrong:
-                    return []
-                problems += [f"{image.reference}: the attached bill {problem}" for problem in wrong]
-        return problems or [f"{image.reference}: no software bill of materials is attached to this digest"]
 
 
 def _platforms(subject: Subject) -> list[str]:

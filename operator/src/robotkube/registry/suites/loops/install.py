@@ -1,5 +1,5 @@
-"""Suite `install`: the chart installs with its first test set, gets ready, keeps running under traffic, upgrades from
-the version it replaces, stops within its grace and leaves nothing behind."""
+"""Suite `install`: the chart installs with its first test set, gets ready, keeps running under traffic, takes other
+settings, upgrades from the version it replaces, stops within its grace and leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from collections.abc import Callable, Sequence
 from robotkube.errors import InputError
 from robotkube.foundation.documents.core.value_templates import Render
 from robotkube.registry.evidence.core.statements import Check
+from robotkube.registry.suites.core.changed_settings import identity
 from robotkube.registry.suites.core.pod_descriptions import KILLED
 from robotkube.registry.suites.core.requests import TestSet
 from robotkube.registry.suites.loops.installation import Installation, apply, filled_sets, install
-from robotkube.registry.suites.loops.soak import Soak
+from robotkube.registry.suites.loops.installed.changing import SettingsChange
+from robotkube.registry.suites.loops.installed.soak import Soak
 from robotkube.registry.suites.ports.suites import Object, PodEnd, Subject, SuiteNamespace
 
 STOP_MARGIN_SECONDS = 20.0  # of Kubernetes itself, in addition to the pods' own grace
@@ -29,25 +31,29 @@ STOP_FIX = (
 
 class InstallSuite:
     """The port Suite. `render` fills templates; `now_ns` is the wall clock in ns since 1970; `soak` keeps the chart
-    running under traffic."""
+    running under traffic, `change` gives it other settings."""
 
     name = "install"
-    version = "2"
+    version = "3"
     needs_namespace = True
 
-    def __init__(self, render: Render, now_ns: Callable[[], int], soak: Soak) -> None:
+    def __init__(self, render: Render, now_ns: Callable[[], int], soak: Soak, change: SettingsChange) -> None:
         self._render = render
         self._now_ns = now_ns
         self._soak = soak
+        self._change = change
 
     def run(self, subject: Subject, test_namespace: SuiteNamespace | None) -> Sequence[Check]:
-        """The six checks; those that an earlier failure makes pointless are left out."""
+        """The seven checks; those that an earlier failure makes pointless are left out."""
         if test_namespace is None:
             raise InputError("the suite install needs a test namespace")
         checks, installation = self._installed(subject, test_namespace)
         if installation is None or not installation.ready:
             return checks
         checks += self._soak.checks(subject, test_namespace, self._first_set(subject, test_namespace))
+        sets = filled_sets(subject.entry, test_namespace.agent, self._now_ns(), self._render)
+        changed, installation = self._change.checks(subject, test_namespace, installation, sets)
+        checks += changed
         checks += self._removed(installation, test_namespace)
         return [*checks, self._upgraded(subject, test_namespace)]
 
@@ -100,15 +106,11 @@ class InstallSuite:
         """As Argo CD does it: apply the new objects, then delete those that are no more."""
         objects = subject.render(self._first_set(subject, test_namespace).values, subject.artefact.chart)
         after = apply(objects, test_namespace)
-        kept = {_identity(item) for item in objects}
-        gone = [item for item in before.objects if _identity(item) not in kept]
+        kept = {identity(item) for item in objects}
+        gone = [item for item in before.objects if identity(item) not in kept]
         if gone:
             test_namespace.delete(gone, _grace(test_namespace.pods()) + STOP_MARGIN_SECONDS)
         return after
-
-
-def _identity(item: Object) -> tuple[str, str]:
-    return str(item.get("kind")), str((item.get("metadata") or {}).get("name"))
 
 
 def _grace(pods: Sequence[Object]) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from robotkube.errors import InputError
@@ -42,6 +42,13 @@ class ObserverPod:
         seconds = max(OBSERVE_SECONDS_MIN, min(wanted, self.test_namespace.seconds_left / 2 - POD_SECONDS))
         observation = self._run(expected, token, seconds)
         return with_broker_log(observation, self.test_namespace.broker_log()[log_length_before:], f"suite-{token}")
+
+    def look(self, topics: Sequence[ExpectedTopic], token: str) -> Observation:
+        """The ROS graph while the inputs among `topics` have a publisher; no answer is waited for. InputError when the
+        observer failed."""
+        alone = [replace(topic, causes="") for topic in topics]
+        seconds = min(self.bounds.whole(0), self.test_namespace.seconds_left / 2 - POD_SECONDS)
+        return self._run(alone, token, max(OBSERVE_SECONDS_MIN, seconds))
 
     def load(self, expected: Sequence[ExpectedTopic], token: str, seconds: float) -> None:
         """Send to every input again and again for that long; InputError when the observer failed or ended sooner."""

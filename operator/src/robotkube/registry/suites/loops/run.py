@@ -12,7 +12,7 @@ from typing import Any
 from robotkube.errors import DocumentError, InputError
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.registry.charts.core.packing import IMAGES_FILE
-from robotkube.registry.charts.ports import ChartProgram, ChartRegistry
+from robotkube.registry.charts.ports import ChartProgram, PulledCharts
 from robotkube.registry.evidence.core.statements import FINISHED, Artefact, Check, Outcome, SuiteResult
 from robotkube.registry.evidence.core.verification_policy import SuiteRule
 from robotkube.registry.suites.core.requests import CHECKS_MAX, SuiteRequest, tidy
@@ -59,7 +59,7 @@ def _words(error: Exception) -> str:
     return str(error) if known and str(error) else f"{type(error).__name__}: {error}"
 
 
-def read_subject(request: SuiteRequest, oci_registry: ChartRegistry, program: ChartProgram, namespace: str) -> Subject:
+def read_subject(request: SuiteRequest, oci_registry: PulledCharts, program: ChartProgram, namespace: str) -> Subject:
     """The chart that the request names, and the one it replaces, from the OCI registry by digest. InputError when a
     chart is not what the request says."""
     replaced = None
@@ -76,7 +76,7 @@ def _subject(
     repository: str,
     entry: Mapping[str, Any],
     replaced: Subject | None,
-    oci_registry: ChartRegistry,
+    oci_registry: PulledCharts,
     program: ChartProgram,
     namespace: str,
 ) -> Subject:

@@ -14,15 +14,19 @@ from robotkube.errors import InputError
 from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.value_templates import Render as Fill
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
+from robotkube.registry.catalogue.core.chart_versions import WATCHED
+from robotkube.registry.catalogue.core.expected_topics import expected_topics
+from robotkube.registry.catalogue.core.message_types.published import type_problems
 from robotkube.registry.charts.core import values_schemas
 from robotkube.registry.charts.core.packing import CHART_FILE
 from robotkube.registry.evidence.core.statements import Check
-from robotkube.registry.suites.core import static_checks
+from robotkube.registry.suites.core import changed_settings, static_checks
 from robotkube.registry.suites.core.pod_security import mapping
 from robotkube.registry.suites.core.requests import TestSet
 from robotkube.registry.suites.core.static_checks import Rendering, check
 from robotkube.registry.suites.loops.installation import filled_sets
 from robotkube.registry.suites.ports.suites import Subject, SuiteNamespace
+from robotkube.robots.ros.core.known_types import instead
 
 AGENT = "agent-00"
 START_NS = 1_800_000_000_000_000_000
@@ -30,6 +34,11 @@ RELEASE = "release-of-the-suite"
 PLAN = "20260101-000000-abcdef"
 SCHEMA_FILE, VALUES_FILE = "values.schema.json", "values.yaml"
 TEXT_CHARACTERS_MAX = 1_500
+SETTINGS = "settings"
+SETTINGS_FIX = (
+    "write the same in both: `settings: watched` or `settings: restart` in the entry's spec and in the chart's "
+    "templates/_app.tpl, where the library chart reads it"
+)
 
 Violations = Callable[[Mapping[str, Any], Any], Sequence[tuple[tuple[str | int, ...], str]]]
 """Schema and value -> path and message of every place that breaks it."""
@@ -49,7 +58,7 @@ class StaticSuite:
     """Suite `static`: `violations` validates values, `fill` fills the templates of the test sets."""
 
     name = "static"
-    version = "2"
+    version = "4"
     needs_namespace = False
 
     def __init__(self, violations: Violations, fill: Fill) -> None:
@@ -67,8 +76,10 @@ class StaticSuite:
             self._values_check(chart),
             self._sets_check(chart, sets, unfilled),
             *entry_checks(chart, subject, renderings),
+            self._types_check(chart, subject, sets),
             check("renders", problems, "repair the template or the test values until helm template takes them"),
             *self._repeated(subject, sets, renderings),
+            self._settings_check(subject, sets, renderings),
             *static_checks.object_checks(renderings),
         ]
 
@@ -115,6 +126,19 @@ class StaticSuite:
             problems += [f"set {test_set.name}: {_path(path)}: {message}" for path, message in violations]
         return check("test-sets", problems, "correct spec.suites.sets of the entry")
 
+    def _types_check(self, chart: Chart, subject: Subject, sets: Sequence[TestSet]) -> Check:
+        """Every type is known to who must open it: the chart's images, or the observer of the suite `interface`."""
+        spec = mapping(subject.entry.get("spec"))
+        problems: list[str] = []
+        for test_set in sets:
+            values = values_schemas.overlay(chart.values, test_set.values)
+            try:
+                topics = expected_topics(spec.get("interfaces") or [], values, self._fill)
+            except InputError:
+                continue  # for the suite `interface` to say
+            problems += [f"interface {name}: {text}" for name, text in type_problems(topics, spec.get("images") or [])]
+        return check("message-types", problems, f"{instead()}, or leave the topic out of the chart's interfaces")
+
     def _renderings(self, subject: Subject, sets: Sequence[TestSet]) -> tuple[list[Rendering], list[str]]:
         renderings = []
         problems = [] if sets else ["there is no test set to render with"]
@@ -145,6 +169,33 @@ class StaticSuite:
             ),
         ]
 
+    def _settings_check(self, subject: Subject, sets: Sequence[TestSet], renderings: Sequence[Rendering]) -> Check:
+        """The pod template follows a changed value as the entry says."""
+        settings = changed_settings.declared(subject.entry)
+        if not settings:
+            return Check(SETTINGS, True, "advice: the entry does not say how changed settings are taken", SETTINGS_FIX)
+        moved: dict[str, bool] = {}
+        if sets and renderings and renderings[0].test_set == sets[0].name:
+            moved = self._moved(subject, renderings[0], [test_set.values for test_set in sets], settings)
+        return check(SETTINGS, changed_settings.disagreements(settings, moved), SETTINGS_FIX)
+
+    def _moved(
+        self, subject: Subject, first: Rendering, values_of_sets: Sequence[Mapping[str, Any]], settings: str
+    ) -> dict[str, bool]:
+        """Path of a changed value -> whether it gives another pod template; without those that change nothing, or that
+        cannot stand with the first set's other values. Ends with the first that decides."""
+        moved: dict[str, bool] = {}
+        for path, values in changed_settings.variations(values_of_sets[0], values_of_sets[1:]):
+            try:
+                moves = changed_settings.moves_pod(first.objects, subject.render(values, RELEASE))
+            except InputError:
+                continue
+            if moves is not None:
+                moved[path] = moves
+            if settings == WATCHED and moves is False:
+                break
+        return moved
+
 
 def entry_checks(chart: Chart, subject: Subject, renderings: Sequence[Rendering]) -> list[Check]:
     """Chart and catalogue entry agree."""
@@ -162,6 +213,11 @@ def entry_checks(chart: Chart, subject: Subject, renderings: Sequence[Rendering]
         ),
         check(
             "entry-resources", resources, "write the requests of one pod into the entry, which releases are placed by"
+        ),
+        check(
+            "entry-success",
+            static_checks.unanswered_probes(renderings, subject.entry),
+            "name containers of the chart's pod in spec.success.probesOf, or give them a readinessProbe",
         ),
     ]
 

@@ -7,10 +7,14 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from robotkube.registry.evidence.core.statements import Artefact, Check, SuiteResult
+from robotkube.registry.suites.core.image_contents import LayerContents
+from robotkube.registry.suites.core.memory_growth import MemorySample
 from robotkube.registry.suites.core.requests import Replaced, SuiteProgress, SuiteRequest
 
 __all__ = [
     "Executor",
+    "LayerReader",
+    "MemoryReader",
     "NamespaceCleaner",
     "NamespaceObjects",
     "Object",
@@ -242,6 +246,24 @@ class Executor(Protocol):
 
     def stop(self) -> None:
         """End what runs."""
+        ...
+
+
+class LayerReader(Protocol):
+    """Reads what is in layers of container images."""
+
+    def contents(self, digest: str, blob: Callable[[], Iterator[bytes]]) -> LayerContents:
+        """The contents of the layer `digest`, whose bytes `blob` gives, as they are stored, when they are needed.
+        InputError: they are no layer, or beyond a bound; and whatever `blob` raises."""
+        ...
+
+
+class MemoryReader(Protocol):
+    """Measures the memory of pods."""
+
+    def read(self, pods: Sequence[Object]) -> Sequence[MemorySample]:
+        """The last measured working set of each of the pods' containers. InputError: this cluster does not let it be
+        read; UnavailableError: not now."""
         ...
 
 

@@ -28,6 +28,7 @@ _STAMP_BEGIN = 4
 _STAMP_END = 12
 _PATH = re.compile(r"/.+")
 _START = re.compile(r"[0-9]{1,19}")
+_LAPS = re.compile(r"[1-9][0-9]{0,3}")
 _END_LINE = re.compile(r'\{"end": true, "count": ([0-9]+)\}')
 _LINE = re.compile(r'\{"sequence": ([0-9]+), "stamp": ([0-9]+), "sha256": "([0-9a-f]{64})"\}')
 
@@ -59,10 +60,20 @@ class PlayerSettings:
 
 @dataclass(frozen=True)
 class PlaybackRun:
-    """A run that ConfigMap `simulation` orders: play from `start` (ns since 1970), under the name `id`."""
+    """A run that ConfigMap `simulation` orders: play from `start` (ns since 1970), under the name `id`.
+
+    `laps`: how often the bag is played, a lap each `lap` ns. More than one is driving for its own sake: no ledger is
+    kept, and a player that comes back joins the lap that is due.
+    """
 
     id: str
     start: int
+    laps: int = 1
+    lap: int = 0
+
+    def current_lap(self, now: int) -> int:
+        """The number of the lap that is due at `now` (ns since 1970), from 0; before the start 0."""
+        return max(0, (now - self.start) // self.lap) if self.lap else 0
 
 
 def read_player_settings(document: Mapping[str, Any], where: str) -> PlayerSettings:
@@ -88,9 +99,17 @@ def read_run(data: Mapping[str, str] | None, where: str) -> PlaybackRun | None:
     problems = [] if PLAYER_RUN.fullmatch(run) else [f"run: {run!r} must match {PLAYER_RUN.pattern}"]
     if not _START.fullmatch(start):
         problems.append(f"start: {start!r} must be a time in ns since 1970, as digits")
+    laps = data.get("laps", "1")
+    lap = data.get("lap", "0")
+    if not _LAPS.fullmatch(laps):
+        problems.append(f"laps: {laps!r} must be how often the bag is played, from 1 to 9999")
+    if not _START.fullmatch(lap):
+        problems.append(f"lap: {lap!r} must be the time from one lap to the next in ns, as digits")
+    elif laps != "1" and int(lap) < NANOSECONDS:
+        problems.append(f"lap: {lap!r} must be at least {NANOSECONDS} ns when there are several laps")
     if problems:
         raise DocumentError(where, problems)
-    return PlaybackRun(run, int(start))
+    return PlaybackRun(run, int(start), int(laps), int(lap))
 
 
 def restamped(data: bytes, stamp: int) -> bytes:

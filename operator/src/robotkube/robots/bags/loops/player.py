@@ -1,7 +1,8 @@
 """Plays a bag on the clock that all players share, and keeps the ledger of what it published.
 
 A message is due at `start + offset` of the wall clock, absolutely: a stall is made up for, nothing drifts, nothing is
-left out. A player that comes back in the middle of a run goes on where its ledger ends, without what was missed.
+left out. A player that comes back in the middle of a run goes on where its ledger ends, without what was missed. A run
+of several laps has no ledger.
 
 Messages are prepared some at a time (stamp, hash, line) and passed on together, so that nothing but the publication
 is left when one is due: a hundred times a second its code comes from memory, not from the processor's caches, and costs
@@ -16,7 +17,15 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
 from robotkube.errors import UnavailableError
-from robotkube.robots.bags.core.playback import LATE_NS, BagTopic, PlaybackRun, ledger_end, ledger_line, restamped
+from robotkube.robots.bags.core.playback import (
+    LATE_NS,
+    BagTopic,
+    LedgerState,
+    PlaybackRun,
+    ledger_end,
+    ledger_line,
+    restamped,
+)
 from robotkube.robots.ros.core.common_messages import STAMPED_TYPES
 
 if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
@@ -58,6 +67,23 @@ class _TopicPlayback:
         return restamped(data, due) if self.topic.type in STAMPED_TYPES else data
 
 
+class _NoLedgers:
+    """Keeps nothing: the ledgers of a run of several laps."""
+
+    def open(self, run: str, topic: str) -> LedgerState:
+        """Nothing was published before."""
+        return LedgerState()
+
+    def append(self, topic: str, line: str) -> None:
+        """Forget the line."""
+
+    def flush(self) -> None:
+        """Do nothing."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
 class _Ready(NamedTuple):
     """A message with its ledger line, to be published when it is due."""
 
@@ -81,6 +107,7 @@ class Player:
     _ordered: PlaybackRun | None = None
     _sinks: dict[str, MessageSink] = field(default_factory=dict)
     _published: list[_Ready] = field(default_factory=list)
+    _open: Ledgers = field(default_factory=_NoLedgers)
 
     def __post_init__(self) -> None:
         for topic in self.bag.topics:
@@ -100,8 +127,15 @@ class Player:
             if run is None or run == done:
                 self.clock.sleep(IDLE_NS)
                 continue
-            self._play(run)
+            self._play_laps(run)
             done = run
+
+    def _play_laps(self, run: PlaybackRun) -> None:
+        """Play the run once, or its laps from the one that is due."""
+        for number in range(run.current_lap(self.clock.now()), run.laps):
+            if self._interrupted(run):
+                return
+            self._play(run, run.start + number * run.lap)
 
     @property
     def matched(self) -> dict[str, int]:
@@ -121,39 +155,37 @@ class Player:
             f"{matched}"
         )
 
-    def _play(self, run: PlaybackRun) -> None:
+    def _play(self, run: PlaybackRun, start: int) -> None:
+        self._open = self.ledgers if run.laps == 1 else _NoLedgers()
         playbacks = self._playbacks(run)
         self.counts.runs += 1
-        self.log(
-            "run begins", run=run.id, start=run.start, resumed=any(playback.messages for playback in playbacks.values())
-        )
+        resumed = run.laps > 1 or any(playback.messages for playback in playbacks.values())
+        self.log("run begins", run=run.id, start=start, resumed=resumed)
         try:
-            finished = self._messages(run, playbacks)
+            finished = self._messages(run, start, playbacks, self.clock.now() - LATE_NS if resumed else None)
             if finished:
                 self._end(playbacks)
         finally:
             self._fill_ledgers()
-            self.ledgers.close()
+            self._open.close()
         self.log("run ended", run=run.id, finished=finished, published=self.counts.published, late=self.counts.late)
 
     def _playbacks(self, run: PlaybackRun) -> dict[str, _TopicPlayback]:
         playbacks = {}
         for topic in self.bag.topics:
-            state = self.ledgers.open(run.id, topic.name)
+            state = self._open.open(run.id, topic.name)
             sink = self._sinks[topic.name]
             playbacks[topic.name] = _TopicPlayback(topic, sink, state.next_sequence, state.messages, state.ended)
         return playbacks
 
-    def _messages(self, run: PlaybackRun, playbacks: dict[str, _TopicPlayback]) -> bool:
-        """Play all messages; whether the bag was played to its end."""
-        resumed = any(playback.messages for playback in playbacks.values())
-        begun = self.clock.now()
+    def _messages(self, run: PlaybackRun, start: int, playbacks: dict[str, _TopicPlayback], missed: int | None) -> bool:
+        """Play all messages but those due before `missed`; whether the bag was played to its end."""
         flush_at = 0
         for batch in _ahead(self.bag.messages()):
-            ready = self._prepared(run, playbacks, batch, begun - LATE_NS if resumed else None)
+            ready = self._prepared(start, playbacks, batch, missed)
             self._fill_ledgers()
             if (now := self.clock.now()) >= flush_at:
-                self.ledgers.flush()
+                self._open.flush()
                 flush_at = now + FLUSH_NS
             if not self._publish(run, ready):
                 return False
@@ -162,7 +194,7 @@ class Player:
 
     def _prepared(
         self,
-        run: PlaybackRun,
+        start: int,
         playbacks: dict[str, _TopicPlayback],
         batch: Sequence[tuple[str, int, bytes]],
         missed: int | None,
@@ -171,7 +203,7 @@ class Player:
         ready = []
         for name, offset, data in batch:
             playback = playbacks[name]
-            due = run.start + offset
+            due = start + offset
             sequence = playback.sequence
             playback.sequence += 1
             if sequence < playback.next_sequence or (missed is not None and due < missed):
@@ -191,7 +223,7 @@ class Player:
             while (left := ready[0].due - now()) > IDLE_NS:
                 sleep(min(left - IDLE_NS, IDLE_NS))
                 self._fill_ledgers()
-                self.ledgers.flush()
+                self._open.flush()
                 if self._interrupted(run):
                     return False
             if self._interrupted(run):
@@ -209,7 +241,7 @@ class Player:
     def _fill_ledgers(self) -> None:
         """Put what was published into the ledgers."""
         for message in self._published:
-            self.ledgers.append(message.playback.topic.name, message.line)
+            self._open.append(message.playback.topic.name, message.line)
             message.playback.messages += 1
         self._published.clear()
 
@@ -224,7 +256,7 @@ class Player:
     def _end(self, playbacks: dict[str, _TopicPlayback]) -> None:
         for name, playback in playbacks.items():
             if not playback.ended:
-                self.ledgers.append(name, ledger_end(playback.messages))
+                self._open.append(name, ledger_end(playback.messages))
 
     def _interrupted(self, run: PlaybackRun) -> bool:
         return self.stopped() or (self._ordered is not run and self._ordered != run)

@@ -5,21 +5,24 @@ in the old order (receivers drop what they have seen). A broker that lost its se
 has subscribed to yet, and says so: for SETTLING_SECONDS after a reconnection such a batch is kept and tried again, one
 at a time, so that the receivers have time to come back and the order stays. Times are seconds of any monotonic clock.
 
-What is beyond the bounds goes, oldest first, and is reported as a gap: topic, reason, number, first and last stamp.
-Retained batches do not grow old: they say what is, not what was.
+What is beyond the bounds goes, oldest first, and so does what is late; it is reported as a gap: topic, reason, number,
+first and last stamp. Retained batches do not grow old: they say what is, not what was. A backlog is paced, but for what
+has a deadline, which goes first.
 """
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from robotkube.robots.bridge.core.losses import Losses
+from robotkube.robots.bridge.core.pacing import Pacing
+from robotkube.robots.bridge.core.waiting_batches import OutgoingBatch, WaitingBatches
 from robotkube.robots.mqtt.core.message_properties import GAPS_PER_MESSAGE_MAX
 from robotkube.robots.ros.core.gaps import Gap
 
 SETTLING_SECONDS = 10.0
 SETTLING_RETRY_SECONDS = 0.2
+LATE = "later than the deadline"
 OLD = "waited too long for the broker"
 MANY = "too many waited for the broker"
 LARGE = "too many bytes waited for the broker"
@@ -28,31 +31,16 @@ CLOSED = "not carried any more"
 
 
 @dataclass(frozen=True)
-class OutgoingBatch:
-    """An encoded batch for the MQTT topic `topic`; `messages` is their number in it, `first` and `last` their stamps in
-    ns, `born` the time it was put, `name` the ROS topic they come from, empty for what is no message of a robot, `gaps`
-    what was given up before it and is reported with it, at most GAPS_PER_MESSAGE_MAX."""
-
-    topic: str
-    payload: bytes
-    messages: int
-    retained: bool = False
-    born: float = 0.0
-    properties: bytes = b""
-    name: str = ""
-    first: int = 0
-    last: int = 0
-    gaps: tuple[Gap, ...] = ()
-
-
-@dataclass(frozen=True)
 class OutboxBounds:
-    """Limits of an outbox: age of what waits in seconds, batches, bytes, and batches that are on their way at once."""
+    """Limits of an outbox: age of what waits in seconds, batches, bytes, and batches that are on their way at once.
+    `thinned`: too many or too large, the topic with the most bytes loses its oldest batch, else the oldest of all
+    goes."""
 
     seconds_max: float
     batches_max: int
     bytes_max: int
     inflight_max: int
+    thinned: bool = False
 
 
 class Outbox:
@@ -64,37 +52,45 @@ class Outbox:
         self.losses = Losses()
         self._bounds = bounds
         self._where = where
-        self._waiting: deque[OutgoingBatch] = deque()
+        self._waiting = WaitingBatches()
         self._inflight: dict[int, OutgoingBatch] = {}
-        self._bytes = 0
+        self._pacing = Pacing()
         self._settling_until: float | None = None
         self._connected_before = False
         self._retry_at = 0.0
 
     def __len__(self) -> int:
-        return len(self._waiting) + len(self._inflight)
+        return self._waiting.count + len(self._inflight)
 
     @property
     def bytes(self) -> int:
         """The bytes of what waits and is not on its way."""
-        return self._bytes
+        return self._waiting.bytes
+
+    @property
+    def paced(self) -> bool:
+        """Whether a backlog waits that leaves more slowly than it could."""
+        return self._pacing.active
 
     def put(self, batch: OutgoingBatch) -> None:
         """Add a batch at the end."""
         self._waiting.append(batch)
-        self._bytes += len(batch.payload)
         self._bound(batch.born)
 
     def next(self, now: float) -> OutgoingBatch | None:
         """The batch to send now, with the gaps before it, or None; call `sent` or `give_back` afterwards."""
-        self._bound(now)
-        if not self._waiting:
+        if self._waiting.count:
+            self._bound(now)
+        if not self._waiting.count:
+            self._pacing.end()
             return None
-        if self._settling_until is None:
-            return self._pop() if len(self._inflight) < self._bounds.inflight_max else None
-        if self._inflight or now < self._retry_at:
+        inflight_max = self._bounds.inflight_max if self._settling_until is None else 1
+        if len(self._inflight) >= inflight_max or (self._settling_until is not None and now < self._retry_at):
             return None
-        return self._pop()
+        first = self._waiting.first
+        if first.retained or first.deadline_seconds or self._pacing.allows(first.born, now):
+            return self._pop()
+        return None
 
     @property
     def waiting(self) -> tuple[OutgoingBatch, ...]:
@@ -108,8 +104,7 @@ class Outbox:
 
     def give_back(self, batch: OutgoingBatch) -> None:
         """Put back `batch`, which `next` returned and which could not be sent."""
-        self._waiting.appendleft(batch)
-        self._bytes += len(batch.payload)
+        self._waiting.put_back([batch])
 
     def sent(self, token: int, batch: OutgoingBatch) -> None:
         """Note that `batch` is on its way; `token` will come back with its acknowledgement."""
@@ -139,62 +134,51 @@ class Outbox:
     def connected(self, now: float) -> None:
         """Begin with a new connection: what was on its way on the old one waits again, in the old order."""
         self.disconnected(now)
+        self._pacing.end()
         self._settling_until = now + SETTLING_SECONDS if self._connected_before else None
         self._connected_before = True
         self._retry_at = now
 
     def disconnected(self, now: float) -> None:
         """Let what was on its way wait again, for the connection is gone."""
-        self._waiting.extendleft(reversed(self._inflight.values()))
-        self._bytes += sum(len(batch.payload) for batch in self._inflight.values())
+        self._waiting.put_back(list(self._inflight.values()))
         self._inflight.clear()
         self._bound(now)
 
     def forget(self, topic: str) -> None:
         """Drop what waits for a topic that is not carried any more."""
-        kept: deque[OutgoingBatch] = deque()
-        for batch in self._waiting:
-            if batch.topic == topic:
-                self._bytes -= len(batch.payload)
-                self._give_up(batch, CLOSED)
-            else:
-                kept.append(batch)
-        self._waiting = kept
+        for batch in self._waiting.remove_topic(topic):
+            self._give_up(batch, CLOSED)
 
     def _pop(self) -> OutgoingBatch:
-        batch = self._waiting.popleft()
-        self._bytes -= len(batch.payload)
+        batch = self._waiting.take()
         losses = self.losses.close(batch.name) if batch.name else ()
         if not losses:
             return batch
         gaps = (*batch.gaps, *losses)
         for gap in gaps[GAPS_PER_MESSAGE_MAX:]:  # the next batch reports them
             self.losses.reopen(gap)
-        return replace(batch, gaps=gaps[:GAPS_PER_MESSAGE_MAX])
+        return batch._replace(gaps=gaps[:GAPS_PER_MESSAGE_MAX])
 
     def _bound(self, now: float) -> None:
         while (excess := self._excess(now)) is not None:
-            place, why = excess
-            batch = self._waiting[place]
-            del self._waiting[place]
-            self._bytes -= len(batch.payload)
+            batch, why = excess
+            self._waiting.remove(batch)
             self._give_up(batch, why)
 
-    def _excess(self, now: float) -> tuple[int, str] | None:
-        """Place and reason of the batch that has to go; retained ones only when nothing else is left."""
+    def _excess(self, now: float) -> tuple[OutgoingBatch, str] | None:
+        """The batch that has to go, and the reason."""
         waiting = self._waiting
         bounds = self._bounds
-        if not waiting:
+        if not waiting.count:
             return None
-        place = 0
-        if waiting[0].retained:
-            place = next((index for index, batch in enumerate(waiting) if not batch.retained), 0)
-        if len(waiting) > bounds.batches_max:
-            return place, MANY
-        if self._bytes > bounds.bytes_max and len(waiting) > 1:
-            return place, LARGE
-        oldest = waiting[place]
-        return (place, OLD) if not oldest.retained and now - oldest.born > bounds.seconds_max else None
+        if waiting.late(now):
+            return waiting.first, LATE
+        many = waiting.count > bounds.batches_max
+        if many or (waiting.bytes > bounds.bytes_max and waiting.count > 1):
+            return waiting.thickest if bounds.thinned else waiting.oldest, MANY if many else LARGE
+        oldest = waiting.oldest
+        return (oldest, OLD) if not oldest.retained and now - oldest.born > bounds.seconds_max else None
 
     def _give_up(self, batch: OutgoingBatch, why: str) -> None:
         self.dropped += batch.messages

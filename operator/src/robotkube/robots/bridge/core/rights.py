@@ -1,7 +1,8 @@
-"""Rights at the broker: which topics the account of an agent may write and read there.
+"""Rights at the broker: which topics the account of an agent may write there, whatever anybody deploys.
 
-They are fixed by an agent's name and role, and the broker enforces the same ones: charts/robotkube renders them
-(templates/_broker.tpl), and a test compares both on a real broker (operator/tests/charts/test_broker.py).
+They are fixed by an agent's name and role. What it may read besides is what links on main say, so a link that is
+composed always may be read. The broker enforces the same ones: `robotkube.delivery.rights` writes its table from
+`own_places`, and a test compares both on a real broker (operator/tests/delivery/rights/test_broker.py).
 """
 
 from __future__ import annotations
@@ -14,10 +15,10 @@ from robotkube.robots.ros.core.topic_patterns import AGENT, ros_name
 OUT = "out"
 IN = "in"
 SPEAKING_ROLES = ("vehicle", "roadside")
-"""Roles whose agents have topics of their own; agents of all other roles listen."""
+"""Roles whose agents also have topics below /vehicles/<own name>/."""
 RULES = (
-    f"agents of role {' or '.join(SPEAKING_ROLES)} write and read topics below /vehicles/<their own name>/ and no "
-    "others, agents of other roles read every topic and write none"
+    "every agent writes topics below /agents/<its own name>/, agents of role "
+    f"{' or '.join(SPEAKING_ROLES)} also those below /vehicles/<their own name>/, and nobody others"
 )
 
 
@@ -33,13 +34,18 @@ class Account(Protocol):
         """What kind of machine it is."""
 
 
+def own_places(agent: Account) -> tuple[str, ...]:
+    """The places, as ROS names without a slash at the end, below which an agent writes."""
+    own = ros_name(agent.name)
+    return (f"/agents/{own}", *([f"/vehicles/{own}"] if agent.role in SPEAKING_ROLES else []))
+
+
 def may(agent: Account, direction: str, topic: str) -> bool:
-    """Whether the broker lets the agent's bridge send (`out`) or receive (`in`) this ROS topic. One that names any
-    agent (`{agent}`) may go out where the agent's own may; a bridge does not bring in its own that way."""
+    """Whether the bridge of an agent can be given the right to send (`out`) or receive (`in`) this ROS topic. One that
+    names any agent (`{agent}`) may go out where the agent's own may; a bridge does not bring in its own that way."""
     if topic in GATEWAY_TOPICS:
         return GATEWAY_TOPICS[topic] == direction
-    if agent.role not in SPEAKING_ROLES:
-        return direction == IN
-    own = ros_name(agent.name)
-    name = topic.replace(AGENT, own) if direction == OUT else topic
-    return f"{name}/".startswith(f"/vehicles/{own}/")
+    if direction == IN:
+        return True
+    name = topic.replace(AGENT, ros_name(agent.name))
+    return any(f"{name}/".startswith(f"{place}/") for place in own_places(agent))

@@ -3,10 +3,10 @@
 `out` topics go from the node's ROS network to MQTT, `in` topics the other way. A topic's MQTT name is `mqtt` + its ROS
 name, its payload batches of messages. `{agent}` in a name stands for any agent: under `out` topics are discovered in
 the ROS network while the bridge runs, under `in` all of them are subscribed to at the broker; a bridge's own agent is
-never brought in that way, and what it brings in never goes out. Channels are MQTT connections of their own, so that
-large messages do not delay small ones. The two topics of the task gateway (GATEWAY_TOPICS) are other: the agent's name
-follows theirs on MQTT, and the payload is the text of the std_msgs/msg/String, so that whoever speaks MQTT alone can
-use them, too.
+never brought in that way, and what it brings in never goes out. A channel is a kind of traffic, CHANNELS in the order
+in which they may send: each has an MQTT connection and a queue of its own. The two topics of the task gateway
+(GATEWAY_TOPICS) are other: the agent's name follows theirs on MQTT, and the payload is the text of the
+std_msgs/msg/String, so that whoever speaks MQTT alone can use them, too.
 """
 
 from __future__ import annotations
@@ -24,9 +24,12 @@ from robotkube.foundation.documents.core.yaml_codec import join
 from robotkube.robots.mqtt.core.message_properties import MQTT_PREFIX
 from robotkube.robots.ros.core.topic_patterns import AGENT, TopicPattern
 
+SAFETY = "safety"
 TELEMETRY = "telemetry"
 BULK = "bulk"
-CHANNELS = (TELEMETRY, BULK)
+CHANNELS = (SAFETY, TELEMETRY, BULK)
+"""Kinds of traffic, the most urgent first."""
+DEADLINE_SECONDS_MIN, DEADLINE_SECONDS_MAX = 0.05, 10.0
 BATCHES = "frames"  # the value in settings, older than the word
 MQTT_CLIENT = "mqtt_client"
 DEPTH_DEFAULT = 1000
@@ -35,6 +38,9 @@ TOPICS_MAX = 500
 GATEWAY_TOPICS = {"/robotkube/tasks": "out", "/robotkube/task_status": "in"}
 GATEWAY_TYPE = "std_msgs/msg/String"
 
+_OPTIONAL = (
+    "channel", "reliability", "durability", "depth", "format", "inject_timestamp", "mqtt_topic", "deadline_seconds",
+)  # fmt: skip
 _FORMAT = re.compile(f"{BATCHES}|{MQTT_CLIENT}")
 _CHANNEL = re.compile("|".join(CHANNELS))
 _RELIABILITY = re.compile("reliable|best_effort")
@@ -51,7 +57,8 @@ class BridgedTopic:
     """One topic with its type and QoS profile on the ROS side, or one per agent when `name` holds `{agent}`.
 
     `gateway_agent` is the agent's name for a topic of the task gateway, empty for all others; `mqtt_topic` another MQTT
-    name than `mqtt` + the ROS name; `inject_timestamp` is of the format mqtt_client."""
+    name than `mqtt` + the ROS name; `inject_timestamp` is of the format mqtt_client. What waited longer than
+    `deadline_seconds` for the broker is not sent any more; 0: there is no deadline."""
 
     name: str
     type: str
@@ -62,6 +69,7 @@ class BridgedTopic:
     format: str = BATCHES
     inject_timestamp: bool = False
     mqtt_topic: str = ""
+    deadline_seconds: float = 0.0
     gateway_agent: str = ""
 
     @property
@@ -172,8 +180,7 @@ def _gateway_topic(reader: Reader, topic: BridgedTopic, path: str, index: int, a
 
 
 def _topic(reader: Reader, item: Any, path: str) -> BridgedTopic:
-    optional = ["channel", "reliability", "durability", "depth", "format", "inject_timestamp", "mqtt_topic"]
-    values = reader.mapping(item, path, ["name", "type"], optional)
+    values = reader.mapping(item, path, ["name", "type"], _OPTIONAL)
     depth = values.get("depth", DEPTH_DEFAULT)
     if not isinstance(depth, int) or isinstance(depth, bool) or not 1 <= depth <= DEPTH_MAX:
         reader.problems.append(f"{join(path, 'depth')}: {depth!r} must be a number of messages from 1 to {DEPTH_MAX}")
@@ -187,9 +194,21 @@ def _topic(reader: Reader, item: Any, path: str) -> BridgedTopic:
         format=reader.word(values.get("format"), join(path, "format"), _FORMAT, BATCHES),
         inject_timestamp=_switch(reader, values, path, "inject_timestamp"),
         mqtt_topic=reader.word(values.get("mqtt_topic"), join(path, "mqtt_topic"), MQTT_TOPIC, ""),
+        deadline_seconds=_deadline(reader, values.get("deadline_seconds"), path),
     )
     reader.problems += [f"{path}.{problem}" for problem in _contradictions(topic, values)]
     return topic
+
+
+def _deadline(reader: Reader, value: Any, path: str) -> float:
+    if value is None:
+        return 0.0
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not number or not DEADLINE_SECONDS_MIN <= value <= DEADLINE_SECONDS_MAX:
+        bounds = f"from {DEADLINE_SECONDS_MIN} to {DEADLINE_SECONDS_MAX:g}"
+        reader.problems.append(f"{join(path, 'deadline_seconds')}: {value!r} must be a number of seconds {bounds}")
+        return 0.0
+    return float(value)
 
 
 def _contradictions(topic: BridgedTopic, values: Mapping[str, Any]) -> list[str]:

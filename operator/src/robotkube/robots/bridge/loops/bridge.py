@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING
 
 from robotkube.errors import InputError
 from robotkube.foundation.runtime.loops.fencing import Fencing
-from robotkube.robots.bridge.core.settings import TOPICS_MAX, BridgedTopic, BridgeSettings, difference
+from robotkube.robots.bridge.core.settings import TELEMETRY, TOPICS_MAX, BridgedTopic, BridgeSettings, difference
 from robotkube.robots.bridge.loops.connections import BrokerConnection, SendPause
 from robotkube.robots.bridge.loops.flows import Incoming, Outgoing, SendingSession
+from robotkube.robots.bridge.loops.link_reporting import LinkReporting, link_faults
 from robotkube.robots.bridge.loops.metrics import BridgeState, metric_lines
+from robotkube.robots.bridge.loops.sending_order import SendingOrder
 from robotkube.robots.mqtt.core.batches import MESSAGES_MAX
 from robotkube.robots.mqtt.core.message_properties import GAPS_DEPTH, GAPS_TOPIC, GAPS_TYPE, MQTT_PREFIX, gap_text
 from robotkube.robots.ros.core.common_messages import string_message
@@ -40,10 +42,16 @@ class Bridge:
     `metrics`, which belong to any.
 
     After a connection was lost and made again, nothing leaves until the release is no longer fenced (`fencing` is
-    sure) and `hold` was called with that."""
+    sure) and `hold` was called with that. `reporting` tells managers which topics are not carried."""
 
     def __init__(
-        self, network: RobotNetwork, make_channel: MakeChannel, sender: SendingSession, log: Log, fencing: Fencing
+        self,
+        network: RobotNetwork,
+        make_channel: MakeChannel,
+        sender: SendingSession,
+        log: Log,
+        fencing: Fencing,
+        reporting: LinkReporting | None = None,
     ) -> None:
         self._network = network
         self._make_channel = make_channel
@@ -51,12 +59,14 @@ class Bridge:
         self._log = log
         self._own_trace = sender.trace
         self._pause = SendPause(fencing)
+        self._reporting = reporting
         self._settings: BridgeSettings | None = None
         self._outgoing: dict[str, Outgoing] = {}
         self._incoming: dict[str, Incoming] = {}
         self._discovered: dict[str, tuple[str, float]] = {}  # ROS topic -> its general topic, and when it was seen
         self._gaps: Incoming | None = None
         self._links: dict[str, BrokerConnection] = {}
+        self._order = SendingOrder()
         self._problems: dict[str, str] = {}
         self._matched_at = self._search_at = 0.0
         self._now = 0.0
@@ -116,8 +126,7 @@ class Bridge:
                 link = self._links[outgoing.topic.channel]
                 for batch in outgoing.batches(messages, now):
                     link.put(batch)
-        for link in self._links.values():
-            link.turn(now)
+        self.turn_connections(now)
         if self._gaps is not None:
             self._gaps.turn(self._sender.clock())
         if now >= self._matched_at:
@@ -126,11 +135,16 @@ class Bridge:
         if now >= self._search_at:
             self._search_at = now + SEARCH_SECONDS
             self._search()
+            self._report_links()
 
-    def turn_channel(self, name: str, now: float) -> None:
-        """Move what waits on one connection."""
-        if name in self._links:
-            self._links[name].turn(now)
+    def turn_connections(self, now: float) -> None:
+        """Move what waits on the connections."""
+        self._order.turn(self._links, now)
+
+    @property
+    def yielding(self) -> frozenset[str]:
+        """The connections that leave the network to more urgent ones."""
+        return self._order.yielding
 
     def close(self) -> None:
         """Send what the connections accept at once, then leave the broker."""
@@ -300,6 +314,13 @@ class Bridge:
             self._links[incoming.topic.channel].outbox.losses.add(gap)
             if incoming.lost_messages == 1:
                 self._log("messages dropped", topic=gap.topic, **gap.document())
+
+    def _report_links(self) -> None:
+        """Tell managers what is not carried, when that changed; what can be told is on the connection that is always
+        there."""
+        if self._reporting is not None and self._settings is not None:
+            faults = link_faults(self._settings, self._problems, self._links, self._discovered)
+            self._reporting.report(self._settings.agent, faults, self._links[TELEMETRY], self._now)
 
     def _publish_gaps(self, wanted: bool) -> None:
         """Open or close the topic on which gaps are published."""

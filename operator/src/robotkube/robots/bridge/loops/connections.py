@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 from robotkube.errors import InputError
 from robotkube.foundation.runtime.loops.fencing import Fencing
 from robotkube.robots.bridge.core import mqtt_client_format
-from robotkube.robots.bridge.core.outbox import Outbox, OutboxBounds, OutgoingBatch
-from robotkube.robots.bridge.core.settings import BULK, MQTT_CLIENT, BridgedTopic
+from robotkube.robots.bridge.core.outbox import Outbox, OutboxBounds
+from robotkube.robots.bridge.core.settings import BULK, MQTT_CLIENT, SAFETY, TELEMETRY, BridgedTopic
+from robotkube.robots.bridge.core.waiting_batches import OutgoingBatch
 from robotkube.robots.bridge.loops.flows import Incoming
 from robotkube.robots.mqtt.core.message_properties import gaps_property
 from robotkube.robots.ros.core.gaps import Gap
@@ -20,8 +21,14 @@ if TYPE_CHECKING:  # the ports know every part's domain: 25 ms of a start
 
     MakeChannel = Callable[[str, str, ChannelEvents], MqttChannel]
 
-TELEMETRY_BOUNDS = OutboxBounds(seconds_max=60.0, batches_max=60_000, bytes_max=96 * 1024 * 1024, inflight_max=200)
-BULK_BOUNDS = OutboxBounds(seconds_max=2.0, batches_max=10, bytes_max=48 * 1024 * 1024, inflight_max=4)
+MIB = 1024 * 1024
+BOUNDS = {
+    SAFETY: OutboxBounds(seconds_max=2.0, batches_max=2_000, bytes_max=8 * MIB, inflight_max=50),
+    TELEMETRY: OutboxBounds(seconds_max=60.0, batches_max=60_000, bytes_max=96 * MIB, inflight_max=200),
+    BULK: OutboxBounds(seconds_max=2.0, batches_max=10, bytes_max=48 * MIB, inflight_max=4, thinned=True),
+}
+HANDED_BYTES_MAX = 64 * 1024
+"""What a connection is given at once; then it is looked at whether the socket took it."""
 REFUSALS_MAX = 50
 
 Log = Callable[..., None]
@@ -58,7 +65,7 @@ class BrokerConnection:
     ) -> None:
         self.name = name
         self._pause = pause
-        self.outbox = Outbox(BULK_BOUNDS if name == BULK else TELEMETRY_BOUNDS, f"mqtt-bridge of {agent}")
+        self.outbox = Outbox(BOUNDS[name], f"mqtt-bridge of {agent}")
         self.incoming: dict[str, Incoming] = {}
         self.general: dict[str, BridgedTopic] = {}
         self.filters: tuple[str, ...] = ()
@@ -158,14 +165,19 @@ class BrokerConnection:
             self.refused(batch.topic, reason)
 
     def refused(self, topic: str, reason: str) -> None:
-        """Keep a refusal of the broker until the next connection, or until the topic is closed: what is answered after
-        that is only logged."""
+        """Keep a refusal of the broker until the next connection, until it is granted, or until the topic is closed:
+        what is answered after that is only logged."""
         if topic not in self.refusals:
             if len(self.refusals) >= REFUSALS_MAX:
                 return
             self._log("refused by the broker", channel=self.name, topic=topic, reason=reason)
         if topic in self._sending or topic in self.filters:
             self.refusals[topic] = f"{topic}: {reason}"
+
+    def granted(self, topic: str) -> None:
+        """Forget a refusal: the right came later than the subscription."""
+        if self.refusals.pop(topic, None) is not None:
+            self._log("granted by the broker", channel=self.name, topic=topic)
 
     def _forget_refusal(self, topic: str) -> None:
         if topic not in self._sending and topic not in self.filters:
@@ -189,12 +201,17 @@ class BrokerConnection:
         if self.refused_batches == 1:
             self._log("batch refused", topic=topic, error=error)
 
-    def turn(self, now: float) -> None:
-        """Read, then send as much as the outbox allows, then write. All events come within a turn."""
+    def turn(self, now: float, yields: bool = False) -> None:
+        """Read, then send as much as outbox and network allow, then write. All events come within a turn. With `yields`
+        nothing new is begun: what is more urgent waits on another connection."""
         self._now = now
+        full = self.channel.wants_write
         self.channel.turn(now)
         self._log_complaint()
-        if self.channel.complaint is None and not self._pause.held:
+        if full:
+            self.channel.flush()
+            full = self.channel.wants_write
+        if self.channel.complaint is None and not self._pause.held and not full and not yields:
             self._send(now)
         self.channel.flush()
         for incoming in self.incoming.values():
@@ -215,6 +232,8 @@ class BrokerConnection:
         self._logged = complaint
 
     def _send(self, now: float) -> None:
+        """Give batches to the connection until it takes no more: what it has cannot be ordered or dropped any more."""
+        handed = 0
         while (batch := self.outbox.next(now)) is not None:
             properties = batch.properties + gaps_property(batch.gaps)
             token = self.channel.publish(batch.topic, batch.payload, batch.retained, properties)
@@ -222,6 +241,12 @@ class BrokerConnection:
                 self.outbox.give_back(batch)
                 return
             self.outbox.sent(token, batch)
+            handed += len(batch.payload)
+            if handed >= HANDED_BYTES_MAX:
+                handed = 0
+                self.channel.flush()
+                if self.channel.wants_write:
+                    return
 
     def _log_dropped(self, gaps: Iterable[Gap]) -> None:
         for gap in gaps:

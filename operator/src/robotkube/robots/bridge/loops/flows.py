@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from robotkube.errors import UnavailableError
 from robotkube.robots.bridge.core import mqtt_client_format
-from robotkube.robots.bridge.core.outbox import OutgoingBatch
 from robotkube.robots.bridge.core.settings import MQTT_CLIENT, BridgedTopic
+from robotkube.robots.bridge.core.waiting_batches import OutgoingBatch
 from robotkube.robots.mqtt.core.batches import BatchError, SeenBatches, decode_batch, encode_batch
 from robotkube.robots.mqtt.core.message_properties import (
     GAPS,
@@ -20,7 +20,7 @@ from robotkube.robots.mqtt.core.message_properties import (
     type_properties,
     types_topic,
 )
-from robotkube.robots.mqtt.core.properties import read_properties
+from robotkube.robots.mqtt.core.properties import message_expiry, read_properties
 from robotkube.robots.ros.core.common_messages import STAMPED_TYPES, header_stamp, string_message, string_text
 from robotkube.robots.ros.core.gaps import Gap
 
@@ -65,7 +65,9 @@ class Outgoing:
         self.messages = self.matched = self.malformed = 0
         self._sender = sender
         self._has_header = topic.type in STAMPED_TYPES
-        self._properties = type_properties(topic.type, sender.trace)
+        self._deadline = 0.0 if topic.retained else topic.deadline_seconds
+        expiry = message_expiry(self._deadline) if self._deadline else b""
+        self._properties = type_properties(topic.type, sender.trace) + expiry
         of_messages = self._single_batches if topic.format == MQTT_CLIENT else self._message_batches
         self.batches: Callable[[Sequence[bytes], float], Iterator[OutgoingBatch]]
         self.batches = self._text_batches if topic.gateway_agent else of_messages
@@ -98,7 +100,8 @@ class Outgoing:
         """The texts of String messages, each as it is."""
         for message in messages:
             try:
-                yield OutgoingBatch(self.topic.mqtt, string_text(message), 1, born=now)
+                text = string_text(message)
+                yield OutgoingBatch(self.topic.mqtt, text, 1, born=now, deadline_seconds=self._deadline)
             except ValueError:
                 self.malformed += 1
 
@@ -108,8 +111,9 @@ class Outgoing:
         last = first if len(messages) == 1 else self._stamp(messages[-1])
         properties = self._properties + stamp_property(first)
         return OutgoingBatch(
-            topic.mqtt, payload, len(messages), topic.retained, now, properties, topic.name, first, last
-        )
+            topic.mqtt, payload, len(messages), topic.retained, now, properties, topic.name, first, last, (),
+            self._deadline,
+        )  # fmt: skip
 
     def _stamp(self, message: bytes) -> int:
         """The message's own stamp, else the time now."""

@@ -50,6 +50,7 @@ def _link(link: BrokerConnection) -> Iterator[str]:
     yield f'connections_total{{channel="{name}"}} {link.connections}'
     yield f'queued_batches{{channel="{name}"}} {len(link.outbox)}'
     yield f'queued_bytes{{channel="{name}"}} {link.outbox.bytes}'
+    yield f'paced{{channel="{name}"}} {int(link.outbox.paced)}'
     yield f'refused_batches_total{{channel="{name}"}} {link.refused_batches}'
     for gap in link.outbox.losses.sums:
         labels = f'channel="{name}",topic="{gap.topic}",where="{gap.where}",why="{_quoted(gap.why)}"'

@@ -9,7 +9,7 @@ from operator import itemgetter
 from typing import TYPE_CHECKING
 
 from robotkube.errors import DocumentError, InputError
-from robotkube.robots.detector.core.settings import TopicSettings
+from robotkube.robots.detector.core.settings import MISSING_TYPE_FIX, TopicSettings
 from robotkube.robots.ros.adapters.rclpy_node import MessageTypeError, RosNode, RosSubscription
 from robotkube.robots.ros.core.qos import IncompatiblePublishers, PublisherOffer, QosProfile, QosViolations
 
@@ -51,8 +51,7 @@ class RosTopics:
                 qos.lease_ns,
             )
         except MessageTypeError as error:
-            fix = "install it, or take the topic from the broker (source: mqtt), which carries the definition"
-            raise DocumentError(f"topic {topic}", [f"{error}; {fix}"]) from error
+            raise DocumentError(f"topic {topic}", [f"{error}; {MISSING_TYPE_FIX}"]) from error
         except InputError as error:
             raise DocumentError(f"topic {topic}", [str(error)]) from error
         known = before if isinstance(before, RosInput) else None

@@ -6,7 +6,7 @@ docs/reference/event-detector.md has every key.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -55,6 +55,10 @@ ACTIVE, BUFFERING, INACTIVE = "active", "buffering", "inactive"
 STATES = (ACTIVE, BUFFERING, INACTIVE)
 """The states of a detector: all at work; subscribed and buffering only; subscribed to nothing."""
 
+MISSING_TYPE_FIX = (
+    "take another type, an image that has the package, or the topic from the broker (source: mqtt) when its sender "
+    "publishes the type's definition"
+)
 TIME_JUMP = "time-jump"
 """The name of the built-in rule whose events are the jumps of a topic's time, and end at once."""
 
@@ -155,12 +159,14 @@ class DetectorSettings:
 @dataclass(frozen=True)
 class SettingsContext:
     """The facts that a document is checked against, where they are known: the types' fields, the installed rules and
-    reactions, and the check of expressions (one problem each, empty when there is none)."""
+    reactions, the check of expressions (one problem each, empty when there is none), and why a type cannot be
+    subscribed to in ROS here (empty when it can)."""
 
     layouts: Layouts | None = None
     rules: Collection[str] | None = None
     reactions: Collection[str] | None = None
     check: CheckExpressions | None = field(default=None, compare=False)
+    missing_type: Callable[[str], str] | None = field(default=None, compare=False)
 
 
 def read_detector_settings(
@@ -249,6 +255,7 @@ def _cross_problems(settings: DetectorSettings, known: SettingsContext, unread: 
     """The problems between parts of the settings; parts that could not be read are not reported twice."""
     topics = [topic.pattern.text for topic in settings.topics]
     problems = _repeated("topics", [text for text in topics if text != UNREADABLE_TOPIC])
+    problems += _missing_types(settings.topics, known)
     if any(rule.name == TIME_JUMP for rule in settings.rules):
         problems.append(f"rules: the name {TIME_JUMP} is taken by the jumps of topics' time; give the rule another one")
     names = [*sorted(rule.name for rule in settings.rules if not rule.silent), TIME_JUMP]
@@ -265,6 +272,16 @@ def _cross_problems(settings: DetectorSettings, known: SettingsContext, unread: 
         "reactions: the operator reaction of rule", [reaction.rule for reaction in settings.operators]
     )
     return problems + _repeated("reactions: the recording", [reaction.recording for reaction in settings.recordings])
+
+
+def _missing_types(topics: Sequence[TopicSettings], known: SettingsContext) -> Iterator[str]:
+    """Problems: types of the ROS graph that this image does not know. One that a message at the broker has may be
+    learned from there."""
+    for index, topic in enumerate(topics):
+        if known.missing_type is not None and topic.source == ROS and ROS_TYPE.fullmatch(topic.type):
+            missing = known.missing_type(topic.type)
+            if missing:
+                yield f"topics[{index}].type: {missing}; {MISSING_TYPE_FIX}"
 
 
 def _repeated(key: str, names: Sequence[str]) -> list[str]:

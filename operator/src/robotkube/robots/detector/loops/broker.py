@@ -263,6 +263,11 @@ class Broker:
         if (message := self._sent.pop(token, None)) is not None:
             message.sender.give_up(message.delivery, f"{message.topic}: {reason}")
 
+    def granted(self, topic: str) -> None:
+        """See the port."""
+        if self.refusals.pop(topic, None) is not None:
+            log.info("broker: granted topic=%s", topic)
+
     def refused(self, topic: str, reason: str) -> None:
         """See the port; a refused topic of types is no problem but for types that are not installed."""
         if not topic.startswith(TYPES_PREFIX):

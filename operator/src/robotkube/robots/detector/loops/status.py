@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from robotkube.foundation.runtime.loops.settings_report import SettingsReport
 from robotkube.robots.detector.core.settings import STATES
 from robotkube.robots.detector.loops.subscription import SOURCE_STATES, source_state
 from robotkube.robots.reactions.loops.delivery_journal import MEMORY_ONLY
@@ -81,17 +82,18 @@ class SettingsRefusal:
 @dataclass
 class DetectorStatus:
     """The pages of one detector. `unreachable`: the reason why it waits for something else, such as the broker;
-    `journal`: the document of the delivery journal."""
+    `journal`: the document of the delivery journal; `report`: whether the newest settings are at work."""
 
     detector: EventDetector
     clock_ns: Callable[[], int]
     refusal: SettingsRefusal = field(default_factory=SettingsRefusal)
     unreachable: Callable[[], str] = str
     journal: Callable[[], Mapping[str, Any]] = lambda: MEMORY_ONLY
+    report: SettingsReport = field(default_factory=SettingsReport)
 
     def not_ready(self) -> str:
         """The reason why it is not ready, in words; empty when it is."""
-        return self.detector.not_ready or self.unreachable()
+        return self.detector.not_ready or self.report.complaint or self.unreachable()
 
     def document(self) -> dict[str, Any]:
         """The document of `GET /status`."""

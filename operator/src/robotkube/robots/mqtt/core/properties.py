@@ -1,10 +1,11 @@
 """The properties of an MQTT 5 PUBLISH (MQTT 5, section 3.3.2.3), as far as messages of robots need them.
 
-Written: content type and user properties. Read: the same two; all others are stepped over.
+Written: content type, user properties and message expiry. Read: the first two; all others are stepped over.
 """
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,12 +13,13 @@ from dataclasses import dataclass, field
 from robotkube.errors import InputError
 from robotkube.robots.mqtt.core.packets import MalformedPacketError, read_number
 
-CONTENT_TYPE, USER_PROPERTY = 0x03, 0x26
+MESSAGE_EXPIRY, CONTENT_TYPE, USER_PROPERTY = 0x02, 0x03, 0x26
 TEXT_BYTES_MAX = 65_535
 PROPERTIES_MAX = 64
 
 _LENGTH = struct.Struct("!H")
-_FIXED_BYTES = {0x01: 1, 0x02: 4, 0x23: 2}  # payload format, message expiry, topic alias
+_FIXED_BYTES = {0x01: 1, MESSAGE_EXPIRY: 4, 0x23: 2}  # payload format, message expiry, topic alias
+_EXPIRY = struct.Struct("!BI")
 _LENGTH_PREFIXED = frozenset([0x08, 0x09])  # response topic, correlation data
 _SUBSCRIPTION = 0x0B
 
@@ -42,6 +44,11 @@ def content_type(text: str) -> bytes:
 def user_property(key: str, value: str) -> bytes:
     """The bytes of a user property."""
     return bytes((USER_PROPERTY,)) + _text(key) + _text(value)
+
+
+def message_expiry(seconds: float) -> bytes:
+    """The bytes of the property message expiry interval: whole seconds, rounded up."""
+    return _EXPIRY.pack(MESSAGE_EXPIRY, math.ceil(seconds))
 
 
 def read_properties(data: bytes) -> MessageProperties:

@@ -25,7 +25,7 @@ GROUND_STEP_M = 0.2
 GROUND_SAMPLES = 2000
 CELL_M = {SIZE: 0.5, REFLECTANCE: 1.0}  # far away the lines of a roof are metres apart
 LINKED_CELLS = 4  # clusters are farther apart than this
-SEEN_GAP_M = 0.6  # seen between two vehicles when the inner side of one is seen, too
+SEEN_GAP_M = 0.4  # seen between two vehicles when the inner side of one is seen, too
 SEEN_GAP_RADIANS = 0.015  # more than between two columns of points
 SPLIT_CELL_M = 0.5  # vehicles beside each other are, at the latest, with cells this large
 SPLIT_CELLS = (6, 5, 4, 3, 2, 1)  # and over ways of 3 m, 2.5 m, ... 0.5 m between their cells
@@ -62,6 +62,10 @@ class DetectedObject:
     def uncertainty(self) -> float:
         """Relative standard error of a mean over the points: 0.5 for 4, 0.1 for 100."""
         return 1 / math.sqrt(self.points)
+
+
+Fit = tuple[DetectedObject, Sequence[Point]]
+"""A box, and the points that it was fitted to."""
 
 
 def find_objects(cloud: Cloud, criteria: ObjectCriteria) -> tuple[DetectedObject, ...]:
@@ -108,19 +112,36 @@ def _boxes(cluster: Sequence[Point], criteria: ObjectCriteria) -> Iterator[Detec
     if len(cluster) < criteria.points_min or extent > SPLIT_EXTENT_M:
         return
     parts = _seen_apart(cluster) if extent > criteria.width_m + SEEN_GAP_M else [cluster]
-    for part in parts:
-        yield from _fitted_or_split(part, criteria, SPLIT_CELLS)
+    yield from _whole([found for part in parts for found in _fitted_or_split(part, criteria, SPLIT_CELLS)], criteria)
 
 
-def _fitted_or_split(
-    cluster: Sequence[Point], criteria: ObjectCriteria, split_cells: Sequence[int]
-) -> Iterator[DetectedObject]:
+def _whole(found: Sequence[Fit], criteria: ObjectCriteria) -> Iterator[DetectedObject]:
+    """The vehicles without those that are pieces of another one: lines of a roof that were taken apart from it lie in
+    its box."""
+    kept: list[DetectedObject] = []
+    for box, part in sorted(found, key=lambda one: -len(one[1])):
+        if not any(_lies_in(other, part, criteria) for other in kept):
+            kept.append(box)
+            yield box
+
+
+def _lies_in(box: DetectedObject, part: Sequence[Point], criteria: ObjectCriteria) -> bool:
+    """Whether most of the points are in the box, or as near to it as its own may be."""
+    sine = 2 * box.pose.quaternion_z * box.pose.quaternion_w
+    cosine = 1 - 2 * box.pose.quaternion_z**2
+    length, width = ((size + SIZE_TOLERANCE_M) / 2 for size in (criteria.length_m, criteria.width_m))
+    offsets = [(point[0] - box.pose.x, point[1] - box.pose.y) for point in part]
+    inside = sum(abs(cosine * x + sine * y) <= length and abs(cosine * y - sine * x) <= width for x, y in offsets)
+    return 2 * inside > len(part)
+
+
+def _fitted_or_split(cluster: Sequence[Point], criteria: ObjectCriteria, split_cells: Sequence[int]) -> Iterator[Fit]:
     """The vehicle that a cluster is; when it is too large, those in it, which is taken apart over ever shorter ways, as
     few as are needed."""
     longest = math.hypot(criteria.length_m + SIZE_TOLERANCE_M, criteria.width_m + SIZE_TOLERANCE_M)
     box = _fitted(cluster, criteria) if _extent(cluster) <= longest else None
     if box:
-        yield box
+        yield box, cluster
     elif len(cluster) >= 2 * criteria.points_min and _falls_apart(cluster):
         for number, cells in enumerate(split_cells, 1):
             parts = list(_clusters(cluster, SPLIT_CELL_M, cells))

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from robotkube.robots.perception.core.detection import find_objects, uncertainty
+from robotkube.robots.perception.core.detection_settings import DetectionSettings
 from robotkube.robots.perception.core.messages import (
     CLOUD_TYPE,
     NUMBER_TYPE,
@@ -14,7 +15,6 @@ from robotkube.robots.perception.core.messages import (
     write_poses,
 )
 from robotkube.robots.perception.core.point_clouds import read_cloud
-from robotkube.robots.perception.core.settings import DetectionSettings
 from robotkube.robots.perception.loops.service import Log, MessageProcessor
 
 if TYPE_CHECKING:

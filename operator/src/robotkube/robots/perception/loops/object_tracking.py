@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from robotkube.robots.perception.core.messages import POSES_TYPE, TEXT_TYPE, read_poses, write_text
-from robotkube.robots.perception.core.settings import TrackingSettings
 from robotkube.robots.perception.core.tracking import Tracker, tracks_text
+from robotkube.robots.perception.core.tracking_settings import TrackingSettings
 from robotkube.robots.perception.loops.service import Log, MessageProcessor
 
 if TYPE_CHECKING:

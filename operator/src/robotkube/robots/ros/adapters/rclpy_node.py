@@ -67,6 +67,15 @@ def message_type(name: str) -> Any:
     return metaclass(message, (), {})
 
 
+def missing_type(name: str) -> str:
+    """Why the type is not installed in this image; empty when it is."""
+    try:
+        message_type(name)
+    except MessageTypeError as error:
+        return str(error)
+    return ""
+
+
 def _type_support_module(package: str, name: str) -> ModuleType:
     full_name = f"{package}.{package}_s__rosidl_typesupport_c"
     if full_name in sys.modules:

@@ -41,7 +41,7 @@ class EventTracker:
         self._idle: OrderedDict[Agents, _State] = OrderedDict()
         self.pending: set[Agents] = set()
         self._members: set[Member] = set()
-        self._group: Agents = tuple(sorted(rule.agents))
+        self._group: Agents = tuple(sorted(rule.agents))  # (): whoever it holds for when an event begins
         self._adopted: dict[Agents, int | None] = {}
         self._timers = Timers(self._moment)
 
@@ -63,27 +63,29 @@ class EventTracker:
         themselves within a minute.
         """
         agents = tuple(sorted(edge.agents))
-        if agents in self._states or not self._fits(agents):
+        key = self._group if self.rule.scope == GROUP else agents
+        if key in self._states or not self._fits(agents):
             return None
         started = replace(edge, edge=START, rule=self.rule.name)
-        self._states[agents] = _State(active=started, stamp=edge.stamp, started=edge.stamp)
+        self._states[key] = _State(active=started, stamp=edge.stamp, started=edge.stamp)
         if self.provisional:
-            self._adopted[agents] = None
+            self._adopted[key] = None
         return agents
 
     def apply(self, change: MemberChange) -> list[Edge]:
         """The edges that a change causes for its member's event, or for the group's."""
         if self.rule.scope != GROUP:
             return self._change(change.member, change)
+        edges = self.mature(self._group, change.stamp - 1, change.received)  # with those for whom it held until then
         before = len(self._members) >= self.rule.at_least
         if change.verdict == RISE:
             self._members.add(change.member)
         else:
             self._members.discard(change.member)
         holds = len(self._members) >= self.rule.at_least
-        if holds == before:
-            return []
-        return self._change(self._group, change._replace(verdict=RISE if holds else FALL))
+        if holds != before:
+            edges += self._change(self._group, change._replace(verdict=RISE if holds else FALL))
+        return edges
 
     def mature(self, agents: Agents, stamp: int, received: int) -> list[Edge]:
         """The start of an event whose time has come at `stamp`, the agents' common progress."""
@@ -131,7 +133,7 @@ class EventTracker:
         """Begin an agent's time anew at `stamp`: its events forget the old time."""
         for states in (self._states, self._idle):
             for agents, state in states.items():
-                if agent in agents:
+                if agent in agents or not agents:
                     state.stamp = stamp
                     state.started = None
                     state.stopped = None
@@ -140,7 +142,7 @@ class EventTracker:
 
     def _fits(self, agents: Agents) -> bool:
         if self.rule.scope == GROUP:
-            return agents == self._group
+            return bool(agents) and self._group in ((), agents)
         known = not self.rule.agents or set(agents) <= set(self.rule.agents)
         return known and len(agents) == (2 if self.rule.scope == PAIR else 1)
 
@@ -195,16 +197,21 @@ class EventTracker:
 
     def _start(self, agents: Agents, state: _State, beginning: int, received: int) -> Edge:
         assert state.since is not None
-        event, trace = event_identity(self.rule.name, agents, beginning)
+        named = agents or self._holders()
+        event, trace = event_identity(self.rule.name, named, beginning)
         detail = state.since.detail
         causes = state.since.causes
         state.active = Edge(
-            self.rule.name, START, agents, event, trace, received, beginning, detail.get("distance_m"), causes, detail
+            self.rule.name, START, named, event, trace, received, beginning, detail.get("distance_m"), causes, detail
         )
         state.started = beginning
         state.stamp = max(state.stamp, beginning)
         self.pending.discard(agents)
         return state.active
+
+    def _holders(self) -> Agents:
+        """The agents for whom it holds now: those of a group's event when the rule lists none."""
+        return tuple(sorted({agent for member in self._members for agent in member}))
 
     def _moment(self, agents: Agents) -> int | None:
         """The moment at which the event begins on this machine's clock, if no message changes it; None without one."""

@@ -1,10 +1,10 @@
 """policies/updates.yaml: how a new version of a chart reaches the releases that run an older one.
 
-    default: {canary: false, successSeconds: 30, failureSeconds: 300, threshold: 1.0, revert: true}
+    default: {canary: true, first: [], successSeconds: 30, failureSeconds: 300, threshold: 1.0, revert: true}
     charts:
-      object-detection: {canary: true, successSeconds: 60}
+      object-detection: {first: [vehicle-02], successSeconds: 60}
     applications:
-      environment-perception: {canary: true}
+      environment-perception: {canary: false}
 
 A rule of a chart comes before that of an application, both before the default; a key that a rule leaves out is the
 default's. People write it; changing the file also allows digests again that were reverted before.
@@ -23,21 +23,23 @@ from robotkube.foundation.documents.core.yaml_codec import read_mapping
 
 PATH = "policies/updates.yaml"
 SECONDS_MAX = 86_400
-_KEYS = ("canary", "successSeconds", "failureSeconds", "threshold", "revert")
+FIRST_MAX = 256
+_KEYS = ("canary", "first", "successSeconds", "failureSeconds", "threshold", "revert")
 
 
 @dataclass(frozen=True)
 class UpdateRule:
-    """The rule of an update. `canary`: one agent first. An updated release has succeeded when it was observed healthy
-    for `success_seconds`, and failed when it is degraded, or not healthy `failure_seconds` after its update. The update
-    has failed when less than the share `threshold` (0 to 1) of the updated releases is left; `revert`: then it is
-    reverted."""
+    """The rule of an update. `canary`: one agent first where several have the chart, one of the namespaces `first`
+    rather than another. An updated release has succeeded when it was observed healthy for `success_seconds`, and failed
+    when it is degraded, or not healthy `failure_seconds` after its update. The update has failed when less than the
+    share `threshold` (0 to 1) of the updated releases is left; `revert`: then it is reverted."""
 
-    canary: bool = False
+    canary: bool = True
     success_seconds: int = 30
     failure_seconds: int = 300
     threshold: float = 1.0
     revert: bool = True
+    first: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,16 @@ def _rule(reader: Reader, value: Any, path: str, default: UpdateRule) -> UpdateR
         failure_seconds=_seconds(reader, rule.get("failureSeconds", default.failure_seconds), f"{path}.failureSeconds"),
         threshold=_share(reader, rule.get("threshold", default.threshold), f"{path}.threshold"),
         revert=_flag(reader, rule.get("revert", default.revert), f"{path}.revert"),
+        first=_first(reader, rule.get("first", list(default.first)), f"{path}.first"),
     )
+
+
+def _first(reader: Reader, value: Any, path: str) -> tuple[str, ...]:
+    names = reader.sequence(value, path)
+    if len(names) > FIRST_MAX:
+        reader.problems.append(f"{path}: names {len(names)} agents; at most {FIRST_MAX}")
+    read = [reader.text(name, path, NAME) for name in names[:FIRST_MAX]]
+    return tuple(name for name in read if name)
 
 
 def _flag(reader: Reader, value: Any, path: str) -> bool:

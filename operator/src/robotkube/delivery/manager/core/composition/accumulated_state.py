@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 from robotkube.delivery.deployment.core.releases import Release, TaskCause
+from robotkube.delivery.manager.core.broken_links import BridgedLink
 from robotkube.delivery.manager.core.composition.assignments import Assignments
 from robotkube.delivery.manager.core.composition.expansion import Expansion
 from robotkube.delivery.manager.core.composition.index import Index
@@ -89,7 +91,12 @@ class AccumulatedState:
         merged = merge(present, release, expansion.merged_lists[key])
         if merged is None:
             names = ", ".join(one.demand.key for one in self.contributions[key])
-            raise RefusalError(RELEASE_IN_USE, f"release {key} is made by {names} with other content")
+            differing = ", ".join(_differing(present.values, release.values, "values")) or "another chart or version"
+            raise RefusalError(
+                RELEASE_IN_USE,
+                f"release {key} is made by {names} with other content ({differing}); withdraw that, or let the "
+                "application give the release a name with a parameter in it",
+            )
         return merged
 
     def _reserve_bridges(self, expansion: Expansion, index: Index) -> None:
@@ -119,9 +126,16 @@ def met(contribution: Contribution, bridges: Mapping[End, str]) -> Met:
     """How a contribution's demand is met."""
     expansion = contribution.expansion
     keys = tuple(sorted(release_keys(expansion, bridges)))
-    return Met(
-        keys, contribution.choices, expansion.application, tuple(sorted(map(_runs, expansion.releases.values())))
-    )
+    runs = tuple(sorted(map(_runs, expansion.releases.values())))
+    links = tuple(sorted(_links(expansion, bridges)))
+    return Met(keys, contribution.choices, expansion.application, runs, links)
+
+
+def _links(expansion: Expansion, bridges: Mapping[End, str]) -> Iterator[BridgedLink]:
+    for end in expansion.topics.ends:
+        for direction, topics in expansion.topics.at(*end).items():
+            for topic in topics:
+                yield bridges[end], direction, str(topic["name"])
 
 
 def _runs(release: Release) -> str:
@@ -134,3 +148,12 @@ def caused(release: Release, contributions: Sequence[Contribution], present: Rel
     nothing else differs."""
     written = replace(release, causes=tuple(sorted({one.cause for one in contributions if one.cause})))
     return present if present is not None and present.same_but_plan(written) else written
+
+
+def _differing(one: Any, two: Any, path: str) -> Iterator[str]:
+    """Paths of the values that differ."""
+    if isinstance(one, Mapping) and isinstance(two, Mapping):
+        for key in dict.fromkeys((*one, *two)):
+            yield from _differing(one.get(key), two.get(key), f"{path}.{key}")
+    elif one != two:
+        yield path

@@ -26,6 +26,7 @@ from robotkube.foundation.documents.core.value_templates import render_templates
 from robotkube.registry.catalogue.core.applications import Link
 from robotkube.registry.catalogue.core.catalogue import Pin
 from robotkube.registry.catalogue.core.chart_versions import ChartVersion
+from robotkube.registry.catalogue.core.links.ends import Opening, opened
 from robotkube.robots.bridge.core.rights import IN, OUT
 
 
@@ -93,12 +94,16 @@ class _Expander:
         cause = replace(demand.task.cause, application=choice.application.name) if demand.task else None
         self._expansion = Expansion(demand, choice.application.name, cause, choice_parts=[choice.reasons])
         names = self._given = _names(demand, choice.parameters, self._placements)
+        names["agents"] = {
+            name: list(self._lookup(("agents", asked.role, asked.capabilities)))
+            for name, asked in choice.application.agents.items()
+        }
         self._links = choice.application.links
         placed = self._add_services(choice.application, names)
-        for link in choice.application.links:
+        for number, link in enumerate(choice.application.links):
             if link.kind != "ros":
                 index.bridge(link.kind)
-                self._add_link(link, names, placed)
+                self._add_link(link, f"spec.links[{number}]", names, placed)
         self._expansion.choices = choices_of(self._expansion.choice_parts, self._expansion.groups)
         return self._expansion
 
@@ -106,6 +111,8 @@ class _Expander:
         """Place every service and make its releases; the instances of each of them, where they were placed."""
         every = instances(application, names, self._render)
         together = groups(every, application.links)
+        bridged = [link for link in application.links if link.kind != "ros"]
+        linked = any("service" in end for link in bridged for end in (link.source, link.target))
         group_of: dict[int, int] = {}
         charts: dict[int, Chosen] = {}
         placed: dict[str, list[PlacedInstance]] = {}
@@ -115,8 +122,9 @@ class _Expander:
                 group_of.update(dict.fromkeys(members, len(self._expansion.groups)))
                 charts.update(zip(members, self._place([every[member] for member in members]), strict=True))
             agent = self._expansion.groups[group_of[number]].placement.agent
-            self._add_service(instance, agent, charts[number], group_of[number])
-            placed.setdefault(instance.service.name, []).append(PlacedInstance(agent, instance.loop))
+            release = self._add_service(instance, agent, charts[number], group_of[number])
+            opening = self._opening(instance, agent, charts[number][0], release) if linked else None
+            placed.setdefault(instance.service.name, []).append(PlacedInstance(agent, instance.loop, opening))
         return placed
 
     def _place(self, members: Sequence[Instance]) -> list[Chosen]:
@@ -162,7 +170,15 @@ class _Expander:
         self._expansion.lookups.append((lookup, answer))
         return answer
 
-    def _add_service(self, instance: Instance, agent: Agent, chosen: Chosen, group_number: int) -> None:
+    def _opening(self, instance: Instance, agent: Agent, chart: ChartVersion, release: Release) -> Opening:
+        """What an instance opens, by the entry of its chart and the values of its release."""
+        topics = None
+        if chart.interfaces:
+            values = self._index.selector.deployed(chart, release.values)
+            topics = opened(chart.interfaces, values, self._render)
+        return Opening(instance.service.name, chart.chart, agent.place, instance.loop, topics)
+
+    def _add_service(self, instance: Instance, agent: Agent, chosen: Chosen, group_number: int) -> Release:
         service = instance.service
         scope = instance.scope
         self._placements[service.name] = agent.name
@@ -179,10 +195,13 @@ class _Expander:
         expansion.releases[key] = release
         expansion.merged_lists[key] = service.unite
         expansion.choice_parts += [(f"{service.name} -> {key}", *chosen[1]), group_number]
+        return release
 
-    def _add_link(self, link: Link, names: Mapping[str, Any], placed: Mapping[str, Sequence[PlacedInstance]]) -> None:
+    def _add_link(
+        self, link: Link, path: str, names: Mapping[str, Any], placed: Mapping[str, Sequence[PlacedInstance]]
+    ) -> None:
         topics = self._expansion.topics
-        for passage in passages(link, names, placed, self._agents, self._render):
+        for passage in passages(link, names, placed, self._agents, self._render, path):
             if passage.source:
                 topics.add(link.kind, passage.source.place, OUT, passage.topic)
             if passage.target:

@@ -19,7 +19,8 @@ from robotkube.registry.catalogue.core.applications import Service
 from robotkube.registry.catalogue.core.catalogue import Catalogue, Pin
 
 Lookup = tuple[Any, ...]
-"""What an expansion looked up in the fleet: ("agent", name), ("role", role), ("platforms", agent, role)."""
+"""What an expansion looked up in the fleet: ("agent", name), ("role", role), ("agents", role, capabilities),
+("platforms", agent, role)."""
 
 _NOWHERE: frozenset[str] = frozenset()
 
@@ -86,7 +87,18 @@ class Index:
             return self.fleet.agent(lookup[1])
         if lookup[0] == "role":
             return self.fleet.present(lookup[1])
+        if lookup[0] == "agents":
+            return self.able(lookup[1], lookup[2])
         return self.platforms(lookup[1], lookup[2])
+
+    def able(self, role: str, capabilities: Sequence[str]) -> tuple[str, ...]:
+        """The names of the agents of a role (of any, when it is empty) whose Nodes have all capabilities."""
+        machines = [(agent.name, self.fleet.machines(agent)) for agent in self.fleet.present(role)]
+        return tuple(
+            name
+            for name, nodes in machines
+            if all(any(capability in node.capabilities for node in nodes) for capability in capabilities)
+        )
 
     def bridge(self, kind: str) -> tuple[Service, Chosen]:
         """As Selector.bridge."""

@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import Any
 
 from robotkube.delivery.deployment.core.releases import Release
+from robotkube.delivery.manager.core.broken_links import BridgedLink
 from robotkube.delivery.manager.core.placement.placement import Fleet, Narrowing
 from robotkube.delivery.tasks.core.task_description import TaskDescription
 from robotkube.foundation.documents.core.value_templates import Render
@@ -77,12 +78,14 @@ class Refused:
 class Met:
     """The way in which a demand is met: the releases (`<namespace>/<name>`), every choice as a sentence, and the
     application (chosen by what it provides when the task names none). `runs`: its services' releases, each with the
-    chart version that was chosen and the Node, where an agent has several."""
+    chart version that was chosen and the Node, where an agent has several. `links` are the topics that its links need
+    bridges to carry."""
 
     releases: tuple[str, ...]
     choices: tuple[str, ...]
     application: str = ""
     runs: tuple[str, ...] = ()
+    links: tuple[BridgedLink, ...] = ()
 
 
 @dataclass(frozen=True)

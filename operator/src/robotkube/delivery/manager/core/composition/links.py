@@ -17,9 +17,13 @@ from robotkube.delivery.manager.core.placement.link_needs import LinkNeed
 from robotkube.delivery.manager.core.placement.placement import Agent
 from robotkube.errors import DocumentError, RefusalError
 from robotkube.foundation.documents.core.value_templates import Render, expand_for_each
-from robotkube.registry.catalogue.core.applications import TOPIC_KEYS, Link
+from robotkube.registry.catalogue.core.applications import TOPIC_KEYS, TOPIC_KEYS_OPTIONAL, Link
+from robotkube.registry.catalogue.core.links.ends import Opening, mismatches
 from robotkube.registry.catalogue.core.links.loops import joined, loops_of
+from robotkube.registry.catalogue.core.message_types.carried import bridged_type
 from robotkube.robots.bridge.core.rights import IN, OUT, RULES, may
+
+_KEYS = (*TOPIC_KEYS, *TOPIC_KEYS_OPTIONAL)
 
 FindAgents = Callable[[str, Any], Sequence[Agent]]
 """The agents of an end, by its kind (`agent` or `role`) and the name there."""
@@ -27,10 +31,12 @@ FindAgents = Callable[[str, Any], Sequence[Agent]]
 
 @dataclass(frozen=True)
 class PlacedInstance:
-    """An instance of a service where it was placed; `loop` are the values of its `forEach` variables."""
+    """An instance of a service where it was placed; `loop` are the values of its `forEach` variables, `opening` what
+    its chart opens there, None where nobody asks for that."""
 
     agent: Agent
     loop: Mapping[str, Any] = field(default_factory=dict)
+    opening: Opening | None = None
 
 
 @dataclass(frozen=True)
@@ -48,9 +54,12 @@ def passages(
     placed: Mapping[str, Sequence[PlacedInstance]],
     agents: FindAgents,
     render: Render,
+    path: str = "spec.links",
 ) -> Iterator[Passage]:
     """Every topic of a link from every source to every target that is on another place: on one, ROS itself carries it.
-    RefusalError(LinkNotPermitted) when the broker would refuse one."""
+    RefusalError when the broker would refuse one (LinkNotPermitted), no bridge knows its type (LinkTypeUnknown), or a
+    chart at an end opens it otherwise (LinkMismatch). `path` is where the link stands in its application."""
+    every = [one.opening for placings in placed.values() for one in placings if one.opening]
     for scope, source, target in _legs(link, names, placed, render):
         sources = _ends(link.source, source, scope, agents, render)
         targets = _ends(link.target, target, scope, agents, render)
@@ -58,9 +67,11 @@ def passages(
         for sender, receiver in product(sources, targets):
             if sender == receiver:
                 continue
-            for topic in rendered:
-                passage = Passage(sender, receiver, {key: topic[key] for key in TOPIC_KEYS})
+            for number, topic in enumerate(rendered):
+                passage = Passage(sender, receiver, {key: topic[key] for key in _KEYS if key in topic})
                 _check(passage)
+                for key, text in mismatches(topic, _opening(source), _opening(target), every):
+                    raise RefusalError("LinkMismatch", f"{path}.topics[{number}].{key}: {text}")
                 yield passage
 
 
@@ -129,8 +140,15 @@ def _ends(
     return agents(kind, render(name, scope))
 
 
+def _opening(instance: PlacedInstance | None) -> Opening | None:
+    return instance.opening if instance else None
+
+
 def _check(passage: Passage) -> None:
     name = passage.topic["name"]
+    problem = bridged_type(str(passage.topic["type"]))
+    if problem:
+        raise RefusalError("LinkTypeUnknown", f"topic {name}: {problem}")
     for agent, direction in ((passage.source, OUT), (passage.target, IN)):
         if agent is not None and not may(agent, direction, name):
             verb = "write" if direction == OUT else "read"
@@ -138,6 +156,6 @@ def _check(passage: Passage) -> None:
                 "LinkNotPermitted",
                 f"topic {name} cannot go from {passage.source or 'the broker'} to {passage.target or 'the broker'}: "
                 f"{agent.name} (role {agent.role}) may not {verb} it at the broker, where {RULES}. Let the agent that "
-                "the topic is named after send it and an agent that reads every topic receive it: by the placement of "
-                "the application's services, the task's placement.roles or placement.agents, or the topic's name",
+                "the topic is named after send it: by the topic's name, the placement of the application's services, "
+                "or the task's placement.roles or placement.agents",
             )

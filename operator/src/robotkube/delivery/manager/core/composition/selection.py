@@ -141,6 +141,12 @@ class Selector:
         if problems:
             raise RefusalError("CompositionFailed", f"chart {chart.chart} {chart.version}: {'; '.join(problems)}")
 
+    def deployed(self, chart: ChartVersion, values: Mapping[str, Any]) -> Mapping[str, Any]:
+        """A release's values laid over the chart's own, as far as its published schema is at hand."""
+        schema = self.schema(chart.chart, chart.version) if self.schema is not None else None
+        full: Mapping[str, Any] = deployed(schema or {}, values)
+        return full
+
     def _schema_problems(self, chart: ChartVersion, values: Mapping[str, Any], schemas: Schema) -> list[str]:
         schema = schemas(chart.chart, chart.version)
         if schema is not None:

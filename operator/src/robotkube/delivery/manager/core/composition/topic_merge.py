@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from robotkube.errors import RefusalError
-from robotkube.registry.catalogue.core.applications import TOPIC_KEYS
+from robotkube.registry.catalogue.core.applications import TOPIC_KEYS, TOPIC_KEYS_OPTIONAL
 from robotkube.robots.bridge.core.rights import IN, OUT
 
 End = tuple[str, str]
@@ -80,7 +80,8 @@ def _agree(agent: str, mine: Part, part: Part) -> None:
 
 
 def _difference(agent: str, present: Mapping[str, Any], topic: Mapping[str, Any]) -> RefusalError:
-    differences = ", ".join(f"{k} {present[k]!r} and {topic[k]!r}" for k in TOPIC_KEYS if present[k] != topic[k])
+    pairs = [(key, present.get(key), topic.get(key)) for key in (*TOPIC_KEYS, *TOPIC_KEYS_OPTIONAL)]
+    differences = ", ".join(f"{key} {one!r} and {other!r}" for key, one, other in pairs if one != other)
     return RefusalError(
         "CompositionFailed", f"topic {topic['name']} at the bridge of {agent} is asked for with {differences}"
     )

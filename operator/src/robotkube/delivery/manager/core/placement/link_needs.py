@@ -10,8 +10,9 @@ from robotkube.robots.bridge.core.rights import OUT, Account, may
 
 @dataclass(frozen=True)
 class LinkNeed:
-    """What one link asks of an agent: to send (`out`) or to receive (`in`) a topic. Not of the `agent` at the link's
-    other end, where ROS carries the topic, nor of agents of its `role`, which depend on who else has that role."""
+    """What one link asks of an agent: to send (`out`) or to receive (`in`) a topic; the latter any agent may be given.
+    Not of the `agent` at the link's other end, where ROS carries the topic, nor of agents of its `role`, which depend
+    on who else has that role."""
 
     direction: str
     topic: str

@@ -8,6 +8,7 @@ from typing import Any
 import httpx
 
 from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
 
 TIMEOUT_SECONDS = 10.0
 
@@ -33,6 +34,7 @@ class ForgeConnection:
             base_url=url,
             auth=account,
             headers=dict(headers or {}),
+            verify=certificate_authorities(),
             timeout=TIMEOUT_SECONDS,
             limits=httpx.Limits(max_connections=4, keepalive_expiry=60.0),
         )

@@ -77,6 +77,14 @@ class Attachments:
         if manifests:
             self._list(target, subject, manifests)
 
+    def remove(self, repository: str, subject: str) -> None:
+        """Remove all that is attached to `subject`, the index first: it lists nothing that is not there."""
+        with self._lock:
+            entries = self._entries(repository, subject)
+            self._connection.delete_manifest(repository, referrers.fallback_tag(subject))
+            for entry in entries:
+                self._connection.delete_manifest(repository, entry["digest"])
+
     def _manifest(self, repository: str, digest: str) -> bytes:
         manifest = self._connection.manifest(repository, digest, ARTEFACT_MANIFEST_BYTES_MAX)
         if manifest is None:

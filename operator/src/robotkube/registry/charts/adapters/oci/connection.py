@@ -6,6 +6,7 @@ releases that pin its digest would not find it again.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
 from typing import Any
 
@@ -14,11 +15,13 @@ import httpx
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.documents.core.digests import sha256
 from robotkube.foundation.documents.core.json_codec import read_json
+from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
 from robotkube.registry.charts.core.packing import MANIFEST_TYPE
 from robotkube.registry.charts.core.referrers import INDEX_TYPE
 
 TIMEOUT = httpx.Timeout(30.0, write=120.0, read=120.0)
 MANIFEST_BYTES_MAX = 4 << 20
+PIECE_BYTES = 1 << 20
 TEXT_CHARACTERS_MAX = 300  # of a registry's answer in a message
 READING = {"Accept": f"{MANIFEST_TYPE}, {INDEX_TYPE}", "Accept-Encoding": "identity"}
 
@@ -31,7 +34,13 @@ class RegistryConnection:
         auth = httpx.BasicAuth(user, password) if user else None
         self.url = url.rstrip("/")
         self._user = user
-        self._client = httpx.Client(base_url=f"{self.url}/v2/", auth=auth, timeout=seconds or TIMEOUT, trust_env=False)
+        self._client = httpx.Client(
+            base_url=f"{self.url}/v2/",
+            auth=auth,
+            verify=certificate_authorities(trust_env=False),
+            timeout=seconds or TIMEOUT,
+            trust_env=False,
+        )
         self._held: dict[str, str] = {}  # blob digest -> a repository of this registry that has it
 
     def disconnect(self) -> None:
@@ -56,6 +65,30 @@ class RegistryConnection:
         if sha256(data) != digest:
             raise InputError(f"OCI registry {self.url}: blob {digest} of {repository} has other bytes than it should")
         return data
+
+    def blob_pieces(self, repository: str, digest: str, bytes_max: int) -> Iterator[bytes]:
+        """The bytes of a blob as they come. InputError when there is none or more than `bytes_max`, and at its end
+        when they are other bytes."""
+        what = f"blob {digest} of {repository}"
+        path = f"{repository}/blobs/{digest}"
+        hashed, size = hashlib.sha256(), 0
+        try:
+            with self._client.stream("GET", path, headers=READING, follow_redirects=True) as answer:
+                if answer.status_code != httpx.codes.OK:
+                    answer.read()
+                    self._expect(answer, what, httpx.codes.OK)
+                for piece in answer.iter_raw(PIECE_BYTES):
+                    hashed.update(piece)
+                    size += len(piece)
+                    if size > bytes_max:
+                        raise InputError(
+                            f"OCI registry {self.url}: {what} is longer than {bytes_max} bytes; it is not read"
+                        )
+                    yield piece
+        except httpx.HTTPError as error:
+            raise self._unavailable("GET", path, error) from error
+        if f"sha256:{hashed.hexdigest()}" != digest:
+            raise InputError(f"OCI registry {self.url}: {what} has other bytes than it should; push it again")
 
     def tags(self, repository: str) -> tuple[str, ...]:
         """The tags of a repository, sorted; empty if there is no such repository."""
@@ -82,6 +115,12 @@ class RegistryConnection:
         answer = self._call("PUT", path, content=manifest, headers={"Content-Type": kind})
         self._expect(answer, f"manifest {repository}:{reference}", httpx.codes.CREATED)
 
+    def delete_manifest(self, repository: str, reference: str) -> None:
+        """Delete the manifest or index of a tag or digest; one that is not there is success."""
+        answer = self._call("DELETE", f"{repository}/manifests/{reference}")
+        if answer.status_code != httpx.codes.NOT_FOUND:
+            self._expect(answer, f"manifest {repository}:{reference}", httpx.codes.ACCEPTED)
+
     def put_blob(self, repository: str, digest: str, content: bytes | Iterator[bytes], size: int) -> None:
         """Write a blob unless the OCI registry has it, here or in a repository it can be mounted from."""
         location = self._begin(repository, digest)
@@ -93,7 +132,7 @@ class RegistryConnection:
         self._held.setdefault(digest, source)
         location = self._begin(target, digest)
         if location:
-            self._finish(target, location, digest, self.blob(source, digest, size), size)
+            self._finish(target, location, digest, self.blob_pieces(source, digest, size), size)
 
     def _fetch(self, path: str, what: str, bytes_max: int) -> bytes | None:
         """The body of at most `bytes_max` bytes; None when there is nothing."""

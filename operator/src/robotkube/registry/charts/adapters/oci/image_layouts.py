@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import tarfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from robotkube.errors import InputError
 from robotkube.foundation.documents.core.json_codec import read_json
+from robotkube.foundation.documents.core.patterns import DIGEST
 
 CHUNK_BYTES = 1 << 20
 INDEX_BYTES_MAX = 4 << 20
@@ -34,6 +35,27 @@ class ArchivedBlob:
                     raise InputError(f"{self.archive}: shorter than its own index says; build it again")
                 left -= len(data)
                 yield data
+
+
+def read_image_manifest(data: bytes, where: str) -> dict[str, Any]:
+    """The manifest of one image (`config`, `layers`) or the index of several (`manifests`); InputError when it is
+    neither, or both, or does not say digest and size of every part."""
+    try:
+        document = read_json(data)
+        parts = document["manifests"] if "manifests" in document else [document["config"], *document["layers"]]
+        one_kind = ("manifests" in document) != ("layers" in document)
+        well_formed = one_kind and all(_is_described(part) for part in parts)
+    except (ValueError, TypeError, KeyError, AttributeError):
+        well_formed = False
+    if not well_formed:
+        raise InputError(f"{where}: is neither the manifest of an image nor an index of some; push it again")
+    read: dict[str, Any] = document
+    return read
+
+
+def _is_described(part: Mapping[str, Any]) -> bool:
+    size = part["size"]
+    return DIGEST.fullmatch(part["digest"]) is not None and type(size) is int and size >= 0
 
 
 def read_layout(archive: Path) -> tuple[dict[str, ArchivedBlob], str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from types import TracebackType
@@ -14,11 +14,13 @@ from robotkube.foundation.documents.core.digests import sha256
 from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.registry.charts.adapters.oci.attachments import Attachments
 from robotkube.registry.charts.adapters.oci.connection import RegistryConnection
-from robotkube.registry.charts.adapters.oci.image_layouts import read_layout
+from robotkube.registry.charts.adapters.oci.image_layouts import read_image_manifest, read_layout
 from robotkube.registry.charts.core import unpacking
 from robotkube.registry.charts.core.packing import PackedChart, PulledChart
 from robotkube.registry.charts.core.unpacking import read_chart_manifest, unpack_chart
 from robotkube.registry.charts.ports import Attachment
+
+PLATFORMS_MAX = 8  # of one index of images
 
 
 class OciRegistry:
@@ -62,12 +64,14 @@ class OciRegistry:
         self._connection.put_manifest(repository, tag, chart.manifest)
         return chart.digest
 
-    def push_image(self, repository: str, archive: Path, tag: str | None = None) -> str:
+    def push_image(self, repository: str, archive: Path, tag: str | None = None, ground: Path | None = None) -> str:
         """Push the image of an OCI layout archive (tar) to `repository`, by digest and under `tag` if given; returns
         its digest.
 
-        Layers are streamed from the archive; those the OCI registry has are not sent again."""
-        blobs, digest = read_layout(archive)
+        Layers are streamed from the archive, or from that of `ground` when they are not in it; those the OCI registry
+        has are not sent again."""
+        own, digest = read_layout(archive)
+        blobs = {**read_layout(ground)[0], **own} if ground else own
         manifest = b"".join(blobs[digest].chunks())
         if tag:
             self._connection.refuse_replacing(repository, tag, digest)
@@ -75,7 +79,9 @@ class OciRegistry:
             return digest
         document = read_json(manifest)
         for entry in (document["config"], *document["layers"]):
-            blob = blobs[entry["digest"]]
+            blob = blobs.get(entry["digest"])
+            if blob is None:
+                raise InputError(f"{archive}: has no blob {entry['digest']}; build the image again")
             self._connection.put_blob(repository, entry["digest"], blob.chunks(), blob.size)
         self._connection.put_manifest(repository, tag or digest, manifest)
         return digest
@@ -98,6 +104,10 @@ class OciRegistry:
     def blob(self, repository: str, digest: str, bytes_max: int) -> bytes:
         """The bytes of the blob of that digest; InputError when it is not there or has more than `bytes_max`."""
         return self._connection.blob(repository, digest, bytes_max)
+
+    def blob_pieces(self, repository: str, digest: str, bytes_max: int) -> Iterator[bytes]:
+        """That blob, piece by piece; InputError at its end when these were not the digest's bytes."""
+        return self._connection.blob_pieces(repository, digest, bytes_max)
 
     def list(self, repository: str) -> tuple[str, ...]:
         """The tags of a repository, sorted; empty if there is no such repository."""
@@ -135,6 +145,29 @@ class OciRegistry:
         for blob in read_chart_manifest(manifest, f"{source}@{digest}"):
             self._connection.copy_blob(source, target, blob.digest, blob.size)
         self._connection.put_manifest(target, tag, manifest)
+
+    def copy_image(self, source: str, target: str, digest: str, artifact_type: str) -> None:
+        """Copy an image, of an index every image, with the attachments of that type; layers are mounted when the OCI
+        registry can."""
+        manifest = self.manifest(source, digest)
+        attached = [one.digest for one in self.attachments(source, digest) if one.artifact_type == artifact_type]
+        document = read_image_manifest(manifest, f"{source}@{digest}")
+        if len(document.get("manifests", ())) > PLATFORMS_MAX:
+            raise InputError(
+                f"{source}@{digest}: is an index of more than {PLATFORMS_MAX} images; push fewer platforms"
+            )
+        for described in document.get("manifests", ()):
+            self.copy_image(source, target, described["digest"], artifact_type)
+        if self.manifest_digest(target, digest) is None:
+            for blob in (document["config"], *document["layers"]) if "layers" in document else ():
+                self._connection.copy_blob(source, target, blob["digest"], blob["size"])
+            self._connection.put_manifest(target, digest, manifest)
+        self._attachments.copy(source, target, digest, attached)
+
+    def remove_image(self, repository: str, digest: str) -> None:
+        """Remove an image with all that is attached to it; the OCI registry removes blobs that nothing has any more."""
+        self._attachments.remove(repository, digest)
+        self._connection.delete_manifest(repository, digest)
 
     def _chart_manifest(self, repository: str, digest: str) -> bytes:
         manifest = self._connection.manifest(repository, digest, unpacking.MANIFEST_BYTES_MAX)

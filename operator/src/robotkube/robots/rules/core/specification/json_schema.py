@@ -92,7 +92,8 @@ PROPERTIES: Mapping[str, Schema] = {
         "minItems": 1,
         "maxItems": reading.AGENTS_MAX,
         "items": {"type": "string", "pattern": AGENT_PATTERN},
-        "description": "the only agents it looks at; without it all of them. Of scope group: those of the event",
+        "description": "the only agents it looks at, and those of a group's event; without it all of them, of whom a "
+        "group's event has those for whom it holds when it begins",
     },
     "at_least": {
         "type": "integer",
@@ -282,7 +283,7 @@ def _condition(name: str, kind: Kind) -> Schema:
     parts = []
     if kind.scopes:
         then["properties"] = {"scope": {"enum": list(kind.scopes)}}
-        parts = [_group()]
+        parts = [_group(name)]
     if name in ("proximity", "cel"):
         parts.append(_pair(name))
     if parts:
@@ -295,13 +296,12 @@ def _one_of(keys: Sequence[str], choices: Sequence[Sequence[str]]) -> Schema:
     return {"required": list(keys), "not": {"anyOf": [{"required": [key]} for key in others]}}
 
 
-def _group() -> Schema:
-    """The schema that scope group needs `agents`, and that only there `at_least` may stand."""
-    return {
-        "if": {"required": ["scope"], "properties": {"scope": {"const": "group"}}},
-        "then": {"required": ["agents"]},
-        "else": {"not": {"required": ["at_least"]}},
-    }
+def _group(kind: str) -> Schema:
+    """The schema that `at_least` stands in scope group only, where a combination, which hears no agent itself, needs
+    `agents`."""
+    grouped: Schema = {"required": ["scope"], "properties": {"scope": {"const": "group"}}}
+    needed: Schema = {"then": {"required": ["agents"]}} if kind == "combination" else {}
+    return {"if": grouped, **needed, "else": {"not": {"required": ["at_least"]}}}
 
 
 def _pair(kind: str) -> Schema:

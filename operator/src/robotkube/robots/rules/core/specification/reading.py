@@ -118,7 +118,7 @@ def _scope(item: MappingReader, kind: str) -> str:
 def _agents(item: MappingReader, kind: str, scope: str) -> tuple[str, ...]:
     if kind == kinds.ALWAYS:
         return ()
-    needed = scope == kinds.GROUP or (scope == kinds.PAIR and kind == kinds.CEL)
+    needed = kind == {kinds.GROUP: kinds.COMBINATION, kinds.PAIR: kinds.CEL}.get(scope)
     if not needed and not item.has("agents"):
         item.value("agents")
         return ()

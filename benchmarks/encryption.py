@@ -1,0 +1,80 @@
+"""What TLS costs bridges and broker in processor time: the same poses and clouds with and without, in turns.
+
+    python3 -m benchmarks.encryption [--turns 2] [--seconds 14]
+
+Three vehicles at 100 Hz, one of them with point clouds. Writes `tls_cost` to build/bench/event-detector.json: the ratio
+with / without of bridges and broker together, of each, and the processor time of both in % of one core.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+from collections.abc import Sequence
+from typing import Any
+
+from benchmarks.data_path import DataPath, measure_lossless
+from benchmarks.measuring import Comparison, record
+from ci import preparing
+from ci.folders import PROJECT
+
+RECORD = PROJECT / "build" / "bench" / "event-detector.json"
+VEHICLES, LIDARS, TURNS, SECONDS = 3, 1, 2, 14.0
+PARTS = ("vehicle bridges", "cloud bridge", "broker")
+RATIO_MAX = 1.6
+
+
+class EncryptedDataPath(DataPath):
+    """Bridges and broker speak TLS."""
+
+    encrypted = True
+
+
+def cpu_percent(kind: type[DataPath], seconds: float = SECONDS) -> dict[str, float]:
+    """Processor time of each part in % of one core. SetUpError when poses or clouds were lost."""
+    run = measure_lossless(lambda folder: kind(folder, VEHICLES, LIDARS, seconds, clouds=True), kind.__name__)
+    return {part: run["cpu_percent"][part] for part in PARTS}
+
+
+def measured(turns: int = TURNS, seconds: float = SECONDS) -> dict[str, dict[str, float]]:
+    """Without and with TLS in turns, the second half in the other order; the medians of each part."""
+    runs: dict[str, list[dict[str, float]]] = {"plain": [], "tls": []}
+    for turn in range(turns):
+        kinds: Sequence[type[DataPath]] = (DataPath, EncryptedDataPath)
+        for kind in kinds if turn % 2 == 0 else reversed(kinds):
+            runs["tls" if kind.encrypted else "plain"].append(cpu_percent(kind, seconds))
+    return {
+        word: {part: round(statistics.median(run[part] for run in each), 2) for part in PARTS}
+        for word, each in runs.items()
+    }
+
+
+def cost(found: dict[str, dict[str, float]]) -> dict[str, Any]:
+    """The key `tls_cost`."""
+    plain, tls = found["plain"], found["tls"]
+    ratios = {part: round(tls[part] / plain[part], 3) for part in PARTS}
+    return {"ratio": round(sum(tls.values()) / sum(plain.values()), 3), "ratios": ratios, **found}
+
+
+def compare() -> list[Comparison]:
+    """Bridges and broker together, with TLS against without."""
+    found = measured()
+    record(RECORD, {"tls_cost": cost(found)})
+    ours, baseline = (sum(found[word].values()) for word in ("tls", "plain"))
+    name = f"bridges and broker with TLS, {VEHICLES} x 100 Hz, clouds"
+    return [Comparison(name, "% CPU", ours, baseline, RATIO_MAX, "the same without TLS")]
+
+
+def main() -> None:
+    """Measure and print JSON."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--turns", type=int, default=TURNS)
+    parser.add_argument("--seconds", type=float, default=SECONDS)
+    options = parser.parse_args()
+    preparing.for_tests()
+    print(json.dumps(cost(measured(options.turns, options.seconds)), indent=1))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,55 @@
+"""Attacks on who may say and hear what at the broker (`ci.attacks`)."""
+
+from __future__ import annotations
+
+from ci.attack_cells import Attack, Refused, Unseen
+from ci.attack_shared import NO_DEMAND, NOT_PROPOSED, NOTHING_TO_JUDGE
+
+SAID_OR_HEARD = Unseen("pods are what they were: nothing else runs, messages are said or heard")
+BY_CLIENT = Unseen("no link asks for it: a client with the agent's account does it")
+BRIDGES = "delivery/rights/test_bridges.py"
+
+AT_THE_BROKER = (
+    Attack(
+        "topic-of-another",
+        "An agent, or who has its account, says something in another agent's name",
+        Refused(
+            "may not write it at the broker",
+            "delivery/manager/composition/test_links.py::test_where_no_agent_may_the_link_is_refused",
+        ),
+        NOT_PROPOSED,
+        NOTHING_TO_JUDGE,
+        SAID_OR_HEARD,
+        Refused(
+            "…: the broker refuses a message (reason 0x87 of MQTT 5)",
+            "charts/test_broker.py::test_a_bridge_that_may_not_says_so",
+            "the broker",
+        ),
+    ),
+    Attack(
+        "heard-without-a-link",
+        "An agent, or who has its account, listens to what no link on main gives it",
+        BY_CLIENT,
+        NOT_PROPOSED,
+        NOTHING_TO_JUDGE,
+        SAID_OR_HEARD,
+        Refused(
+            "…: the broker refuses the subscription: Not authorized",
+            f"{BRIDGES}::test_a_link_from_vehicle_to_vehicle",
+            "the broker",
+        ),
+    ),
+    Attack(
+        "rights-changed",
+        "Who got the password of the account `rights` gives himself rights, a role or an account at the broker",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        NOTHING_TO_JUDGE,
+        SAID_OR_HEARD,
+        Refused(
+            "rights restored about=… was=…",
+            "delivery/rights/test_broker.py::test_a_change_by_another_hand_is_put_right_and_told",
+            "the process that keeps rights, within 5 s, in its log",
+        ),
+    ),
+)

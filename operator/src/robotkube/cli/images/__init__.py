@@ -1,0 +1,1 @@
+"""`robotkube image ...`."""

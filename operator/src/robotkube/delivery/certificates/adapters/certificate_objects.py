@@ -1,0 +1,113 @@
+"""The port CertificateObjects through the API server: two Secrets by name in the platform's namespace, and a ConfigMap
+by name in each namespace. The chart makes them, empty; this fills them, and needs no right to make any."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+from collections.abc import Mapping
+from typing import Any, Protocol
+from urllib.parse import quote
+
+from robotkube.delivery.certificates.core.issuance import Issuance
+from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.certificates.core.lives import Pair
+from robotkube.foundation.kubernetes.adapters.http_client import config_map_path
+
+CERTIFICATE, KEY, AUTHORITY = "tls.crt", "tls.key", "ca.crt"
+MERGE = "application/merge-patch+json"
+CONFLICT, MISSING = 409, 404
+
+
+class RequestingApi(Protocol):
+    """The call needed of an API server; `foundation.kubernetes.adapters.http_client.ApiServer` offers it."""
+
+    def request(self, method: str, path: str, body: Any = None, content_type: str = ...) -> tuple[int, dict[str, Any]]:
+        """Status and document of a request."""
+        ...
+
+
+class KubernetesCertificates:
+    """The objects that `issuance` names."""
+
+    def __init__(self, api: RequestingApi, issuance: Issuance) -> None:
+        self._api = api
+        self._issuance = issuance
+        self._version = ""
+
+    def authority(self) -> Pair | None:
+        """See the port."""
+        name = self._issuance.authority
+        document = self._read(self._secret(name), f"Secret {name}")
+        self._version = str(document["metadata"].get("resourceVersion", ""))
+        data = document.get("data") or {}
+        if not data.get(CERTIFICATE) and not data.get(KEY):
+            return None
+        pair = _pair(data)
+        if pair is None:
+            raise InputError(
+                f"Secret {name}: {CERTIFICATE} or {KEY} is missing or cannot be read; bring it back, or empty the "
+                "Secret: then another authority is made, and everybody has to trust that"
+            )
+        return pair
+
+    def keep_authority(self, authority: Pair) -> None:
+        """See the port."""
+        body = {"metadata": {"resourceVersion": self._version}, "stringData": _files(authority)}
+        self._patch(self._secret(self._issuance.authority), f"Secret {self._issuance.authority}", body)
+
+    def certificate(self) -> Pair | None:
+        """See the port."""
+        name = self._issuance.certificate
+        return _pair(self._read(self._secret(name), f"Secret {name}").get("data") or {})
+
+    def put_certificate(self, certificate: Pair) -> None:
+        """See the port."""
+        name = self._issuance.certificate
+        self._patch(self._secret(name), f"Secret {name}", {"stringData": _files(certificate)})
+
+    def trusted(self, namespace: str) -> str:
+        """See the port."""
+        data = self._read(self._config_map(namespace), self._about(namespace)).get("data") or {}
+        return str(data.get(AUTHORITY, ""))
+
+    def publish(self, namespace: str, certificate: str) -> None:
+        """See the port."""
+        self._patch(self._config_map(namespace), self._about(namespace), {"data": {AUTHORITY: certificate}})
+
+    def _secret(self, name: str) -> str:
+        return f"/api/v1/namespaces/{quote(self._issuance.platform)}/secrets/{quote(name)}"
+
+    def _config_map(self, namespace: str) -> str:
+        return config_map_path(namespace, self._issuance.trusted)
+
+    def _about(self, namespace: str) -> str:
+        return f"ConfigMap {namespace}/{self._issuance.trusted}"
+
+    def _read(self, path: str, about: str) -> Mapping[str, Any]:
+        status, document = self._api.request("GET", path)
+        return document if status != MISSING else _missing(about)
+
+    def _patch(self, path: str, about: str, body: Mapping[str, Any]) -> None:
+        status, _ = self._api.request("PATCH", path, body, MERGE)
+        if status == MISSING:
+            _missing(about)
+        if status == CONFLICT:
+            raise UnavailableError(f"{about}: somebody else changed it at the same time; it is looked at again")
+
+
+def _missing(about: str) -> Mapping[str, Any]:
+    raise InputError(f"{about} is missing; the chart makes it: helm upgrade brings it back, or make it, empty")
+
+
+def _files(pair: Pair) -> dict[str, str]:
+    return {CERTIFICATE: pair.certificate, KEY: pair.key}
+
+
+def _pair(data: Mapping[str, str]) -> Pair | None:
+    """The pair in a Secret; None when a part of it is missing or is no text."""
+    try:
+        certificate, key = (base64.b64decode(data.get(name) or "").decode("ascii") for name in (CERTIFICATE, KEY))
+    except (binascii.Error, UnicodeDecodeError):
+        return None
+    return Pair(certificate, key) if certificate and key else None

@@ -1,0 +1,124 @@
+"""Keeping certificates: the authority is made once, the broker's certificate renewed at two thirds of its life, and
+every namespace of agents told whom to trust."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Sequence
+
+from robotkube.delivery.certificates.core.issuance import Issuance
+from robotkube.delivery.certificates.ports import CertificateObjects, Issuer
+from robotkube.errors import InputError, RobotKubeError
+from robotkube.foundation.certificates.core.lives import Life, Pair, reason_to_replace
+from robotkube.foundation.runtime.ports import Series
+
+CHECK_SECONDS = 60.0
+CHECK_SHARE = 0.05
+"""Of a certificate's life: one that lives for a minute is looked at every 3 s."""
+RETRY_SECONDS = 2.0
+AUTHORITY_NAME = "RobotKube platform"
+
+log = logging.getLogger(__name__)
+
+
+class CertificateKeeper:
+    """The certificates of one platform, on one thread. `wall` in seconds since 1970."""
+
+    def __init__(
+        self, objects: CertificateObjects, issuer: Issuer, issuance: Issuance, wall: Callable[[], float]
+    ) -> None:
+        self._objects = objects
+        self._issuer = issuer
+        self._issuance = issuance
+        self._wall = wall
+        self.problem = "nothing was looked at yet"
+        self.life: Life | None = None
+        self.issued = self.published = self.failed = 0
+
+    def run(self, stopping: threading.Event) -> None:
+        """Keep them until `stopping` is set."""
+        interval = min(CHECK_SECONDS, CHECK_SHARE * self._issuance.seconds)
+        while not stopping.wait(0.0):
+            self.step()
+            stopping.wait(min(interval, RETRY_SECONDS) if self.problem else interval)
+
+    def step(self) -> None:
+        """Look at all of them once, and put right what is due. A problem is logged when it is another one."""
+        try:
+            self._keep()
+        except RobotKubeError as error:
+            self.failed += 1
+            if str(error) != self.problem:
+                log.warning("certificates: not all are as they should be: %s", error)
+            self.problem = str(error)
+            return
+        self.problem = ""
+
+    def _keep(self) -> None:
+        authority = self._authority()
+        for namespace in self._issuance.namespaces:  # first whom to trust, then what is to be trusted
+            if self._objects.trusted(namespace) != authority.certificate:
+                self._objects.publish(namespace, authority.certificate)
+                self.published += 1
+                log.info("authority published namespace=%s", namespace)
+        self.life = self._renewed(authority)
+
+    def _authority(self) -> Pair:
+        authority = self._objects.authority()
+        if authority is None:
+            authority = self._issuer.new_authority(AUTHORITY_NAME, self._wall())
+            self._objects.keep_authority(authority)
+            log.info("authority made")
+        elif not self._issuer.is_authority(authority):
+            raise InputError(
+                f"Secret {self._issuance.authority}: its certificate signs no others, or its key is another one; "
+                "bring back the Secret, or empty it: then another authority is made, and everybody has to trust that"
+            )
+        return authority
+
+    def _renewed(self, authority: Pair) -> Life:
+        """The life of the broker's certificate, renewed where that is due."""
+        issuance, now = self._issuance, self._wall()
+        present = self._objects.certificate()
+        life = self._described(present, authority) if present is not None else None
+        reason = reason_to_replace(life, issuance.names, now)
+        if not reason:
+            assert life is not None
+            return life
+        made = self._issuer.issue(authority, issuance.names, now, issuance.seconds)
+        self._objects.put_certificate(made)
+        self.issued += 1
+        life = self._issuer.describe(made, authority)
+        cause = reason.replace(" ", "-")
+        log.info("certificate issued secret=%s cause=%s seconds=%.0f", issuance.certificate, cause, life.end - now)
+        return life
+
+    def _described(self, present: Pair, authority: Pair) -> Life | None:
+        """None for what cannot be read: it is replaced as if there were none."""
+        try:
+            return self._issuer.describe(present, authority)
+        except InputError as error:
+            log.warning("Secret %s: %s", self._issuance.certificate, error)
+            return None
+
+    def reasons_not_ready(self) -> Sequence[str]:
+        """Why this is not ready: what the last look met, or a certificate that is over."""
+        if self.problem:
+            return [self.problem]
+        if self.life is not None and self._wall() >= self.life.end:
+            return [f"the certificate in Secret {self._issuance.certificate} has expired"]
+        return []
+
+    def metrics(self) -> Sequence[Series]:
+        """What Prometheus reads."""
+        prefix = "robotkube_certificates_"
+        expiry = "Time at which the broker's certificate expires, in seconds since 1970; 0 while it was not looked at."
+        issued, published = "Certificates that were made.", "Namespaces that were told whom to trust."
+        end = self.life.end if self.life is not None else 0.0
+        return (
+            Series(f"{prefix}expiry_timestamp_seconds", "gauge", expiry, {(): end}),
+            Series(f"{prefix}issued_total", "counter", issued, {(): float(self.issued)}),
+            Series(f"{prefix}published_total", "counter", published, {(): float(self.published)}),
+            Series(f"{prefix}failures_total", "counter", "Looks that failed.", {(): float(self.failed)}),
+        )

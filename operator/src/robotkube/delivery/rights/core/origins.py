@@ -1,0 +1,47 @@
+"""Which commit of main gave each right that stands: the last one before which the release did not give it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from robotkube.delivery.deployment.core.releases import RELEASES, read_release
+from robotkube.delivery.rights.core.accounts import Accounts, AgentAccount
+from robotkube.delivery.rights.core.grants import Grant, granted
+from robotkube.errors import DocumentError
+from robotkube.foundation.forge.core.histories import HistoryCommit
+
+
+@dataclass(frozen=True)
+class Origin:
+    """A grant that stands on main, and the commit that gave it."""
+
+    grant: Grant
+    commit: HistoryCommit
+
+
+def origins(commits: Iterable[HistoryCommit], agent: AgentAccount) -> list[Origin]:
+    """The grants of an agent at the last of main's commits (oldest first), each with the commit that gave it."""
+    accounts = Accounts((agent,), ())
+    prefix = f"{RELEASES}/{agent.namespace}/"
+    standing: dict[str, dict[Grant, Origin]] = {}
+    for commit in commits:
+        for path, text in commit.changes.items():
+            if path.startswith(prefix):
+                _apply(standing, path, text, commit, accounts)
+    return sorted((one for every in standing.values() for one in every.values()), key=lambda one: one.grant)
+
+
+def _apply(
+    standing: dict[str, dict[Grant, Origin]], path: str, text: str | None, commit: HistoryCommit, accounts: Accounts
+) -> None:
+    """Keep what a commit says of one release; a file that cannot be read changes nothing, as at the broker."""
+    if text is None:
+        standing.pop(path, None)
+        return
+    try:
+        grants = granted(read_release(text, path), accounts).grants
+    except DocumentError:
+        return
+    before = standing.get(path, {})
+    standing[path] = {grant: before.get(grant) or Origin(grant, commit) for grant in grants}

@@ -1,0 +1,1 @@
+"""Certificates: made by an authority of one's own, and verified by whoever connects"""

@@ -1,0 +1,1 @@
+"""Images: built, made reproducible, and described by a bill of materials."""

@@ -1,0 +1,99 @@
+"""Changed settings of a chart under test: values that differ from the first set's, and whether pod template and ROS
+graph follow what they change, as the entry's `settings` says."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice
+from typing import Any
+
+from robotkube.registry.catalogue.core.chart_versions import RESTART, WATCHED
+from robotkube.registry.catalogue.core.expected_topics import IN, ROS, ExpectedTopic
+from robotkube.registry.suites.core.pod_security import mapping
+from robotkube.robots.ros.core.graph import Endpoint
+
+PLACED_BY = "placement"  # where it runs is no setting: another place is another pod
+VARIATIONS_MAX = 4
+KINDS_OF_PODS = frozenset({"Deployment"})
+
+Object = Mapping[str, Any]
+Topics = Sequence[ExpectedTopic]
+
+
+def declared(entry: Mapping[str, Any]) -> str:
+    """The entry's `spec.settings`; empty when it says nothing."""
+    return str(mapping(entry.get("spec")).get("settings") or "")
+
+
+def variations(
+    first: Mapping[str, Any], others: Sequence[Mapping[str, Any]]
+) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """The first set's values with one value of another set in its place, and that value's path; at most
+    VARIATIONS_MAX."""
+    settings = [{key: value for key, value in other.items() if key != PLACED_BY} for other in others]
+    return islice((one for other in settings for one in _replaced(first, other, "values")), VARIATIONS_MAX)
+
+
+def _replaced(first: Mapping[str, Any], other: Mapping[str, Any], path: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    for key, value in other.items():
+        own = first.get(key)
+        if isinstance(own, Mapping) and isinstance(value, Mapping):
+            for inner, changed in _replaced(own, value, f"{path}.{key}"):
+                yield inner, {**first, key: changed}
+        elif own != value:
+            yield f"{path}.{key}", {**first, key: value}
+
+
+def identity(item: Object) -> tuple[str, str]:
+    """An object's kind and name."""
+    return str(item.get("kind")), str(mapping(item.get("metadata")).get("name"))
+
+
+def moves_pod(before: Sequence[Object], after: Sequence[Object]) -> bool | None:
+    """Whether the pod is another one with the objects `after`; None when they are the same as those before."""
+    if list(before) == list(after):
+        return None
+    return _templates(before) != _templates(after)
+
+
+def _templates(objects: Sequence[Object]) -> list[Any]:
+    return [mapping(item.get("spec")).get("template") for item in objects if item.get("kind") in KINDS_OF_PODS]
+
+
+def disagreements(settings: str, moved: Mapping[str, bool]) -> list[str]:
+    """What the entry's `settings` says and the chart does not do. `moved`: path of a changed value -> whether it gives
+    another pod template."""
+    stays = [path for path, moves in moved.items() if not moves]
+    if settings == RESTART and stays:
+        return [f"{', '.join(stays)}: a change leaves the pod template as it is, so the old process goes on with it"]
+    if settings == WATCHED and moved and not stays:
+        return [f"{', '.join(moved)}: a change is a new pod template, so nothing is watched"]
+    return []
+
+
+def visible(topics: Topics) -> Topics:
+    """The topics that the ROS graph shows although nothing is sent: an output whose name is a pattern is opened when
+    there is something to publish."""
+    return [t for t in topics if t.medium == ROS and (t.direction == IN or t.topic == t.example)]
+
+
+def differ(before: Topics, after: Topics) -> bool:
+    """Whether other topics are open with the changed values."""
+    return {topic.title for topic in before} != {topic.title for topic in after}
+
+
+def unseen(before: Topics, after: Topics, endpoints: Sequence[Endpoint]) -> list[str]:
+    """What the ROS graph does not show of changed values: topics that are not open, and those of before that still
+    are."""
+    missing = [t.title for t in after if not any(_is_end(t, end) for end in endpoints)]
+    left = [
+        t.title
+        for t in before
+        if any(_is_end(t, end) and not any(_is_end(new, end) for new in after) for end in endpoints)
+    ]
+    problems = [f"not open: {', '.join(missing)}"] if missing else []
+    return problems + ([f"still open, as with the settings before: {', '.join(left)}"] if left else [])
+
+
+def _is_end(topic: ExpectedTopic, end: Endpoint) -> bool:
+    return topic.direction == end.direction and topic.matches(end.topic)

@@ -1,0 +1,1 @@
+"""What the suite `install` does to a chart that runs: the soak, its memory, and changed settings."""

@@ -1,0 +1,36 @@
+"""The key `broker` in the settings of the platform's processes: its address, the process's account, and how the broker
+proves who it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from robotkube.foundation.certificates.adapters.verification import ServerVerification
+from robotkube.foundation.documents.core.patterns import WORD
+from robotkube.foundation.documents.core.reader import Reader
+from robotkube.foundation.runtime import settings_file as files
+from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
+
+
+def read_broker(reader: Reader, value: Any) -> BrokerAccount:
+    """`{host, port, credentials}`, and with TLS `authorities`: the file of those that may have signed for `host`."""
+    broker = reader.mapping(value or {}, "broker", ["host", "port", "credentials"], ["authorities"])
+    account = files.credentials(reader, broker.get("credentials"), "broker.credentials")
+    host = reader.word(broker.get("host"), "broker.host", WORD)
+    return BrokerAccount(host, _port(reader, broker), account.username, account.password, _tls(reader, broker, host))
+
+
+def _port(reader: Reader, broker: Mapping[str, Any]) -> int:
+    port = broker.get("port")
+    if isinstance(port, int) and not isinstance(port, bool) and 0 < port <= files.PORT_MAX:
+        return port
+    reader.problems.append(f"broker.port: must be a whole number from 1 to {files.PORT_MAX}")
+    return 0
+
+
+def _tls(reader: Reader, broker: Mapping[str, Any], host: str) -> ServerVerification | None:
+    if broker.get("authorities") is None:
+        return None
+    return ServerVerification(Path(reader.word(broker["authorities"], "broker.authorities", files.PATH)), host)

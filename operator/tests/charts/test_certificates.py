@@ -1,0 +1,173 @@
+"""The process that keeps certificates, with the rights that the chart gives it, on a real API server: the authority is
+made once and kept, the broker has its certificate, and every agent's namespace is told whom to trust."""
+
+from __future__ import annotations
+
+import base64
+import os
+import subprocess
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+import yaml
+
+from robotkube.delivery.certificates.adapters.certificate_objects import KubernetesCertificates
+from robotkube.delivery.certificates.core.issuance import Issuance
+from robotkube.delivery.certificates.loops.keeper import CertificateKeeper
+from robotkube.delivery.certificates.settings import read_configuration
+from robotkube.errors import InputError
+from robotkube.foundation.certificates.adapters import issuing
+from robotkube.foundation.certificates.adapters.verification import ServerVerification
+from robotkube.foundation.certificates.core.lives import Pair
+from robotkube.foundation.documents.core.reader import Reader
+from robotkube.foundation.kubernetes.adapters.http_client import ApiServer
+from tests.stages.handshakes import handshake, server_context
+from tests.stages.kubernetes.installed_chart import CHART, Cluster, prepared_cluster
+from tests.stages.programs import program
+from tests.stages.secret_words import words
+
+pytestmark = pytest.mark.toolchain
+
+PROFILE = Path(__file__).parent / "profiles" / "official.yaml"
+ACCOUNT = "system:serviceaccount:robotkube:certificates"
+AGENTS = ("vehicle-00", "vehicle-01", "cloud-0")
+NAME = "broker.robotkube.svc.cluster.local"
+
+
+@dataclass
+class Installed:
+    """The platform on an API server without nodes; `api` is called as the account of the process."""
+
+    cluster: Cluster
+    administrator: httpx.Client
+    api: ApiServer
+    issuance: Issuance
+    now: float = 0.0
+
+    def keeper(self, issuance: Issuance | None = None) -> CertificateKeeper:
+        """The process's loop after a start, on the adapters that it has."""
+        issuance = issuance or self.issuance
+        objects = KubernetesCertificates(self.api, issuance)
+        return CertificateKeeper(objects, issuing, issuance, lambda: time.time() + self.now)
+
+    def kept(self) -> None:
+        keeper = self.keeper()
+        keeper.step()
+        assert keeper.reasons_not_ready() == []
+
+    def read(self, namespace: str, kind: str, name: str) -> dict[str, str]:
+        """The data of an object as the administrator reads it."""
+        answer = self.administrator.get(f"/api/v1/namespaces/{namespace}/{kind}/{name}").raise_for_status().json()
+        return dict(answer.get("data") or {})
+
+    def secret(self, name: str) -> dict[str, str]:
+        return {key: base64.b64decode(value).decode() for key, value in self.read("robotkube", "secrets", name).items()}
+
+    def trusted(self) -> set[str]:
+        found = [self.read(place, "configmaps", "robotkube-ca") for place in ("robotkube", *AGENTS)]
+        return {one.get("ca.crt", "") for one in found}
+
+    def empty(self) -> None:
+        """As the chart made them."""
+        for path in ("secrets/tls-authority", "secrets/broker-tls"):
+            merge = {"Content-Type": "application/merge-patch+json"}
+            body = '{"data": null}'
+            self.administrator.patch(f"/api/v1/namespaces/robotkube/{path}", content=body, headers=merge)
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Installed]:
+    with prepared_cluster(tmp_path_factory.mktemp("api")) as cluster:
+        cluster.helm("install", "robotkube", str(CHART), "-f", str(PROFILE), "--no-hooks")
+        environment = {**os.environ, "KUBECONFIG": str(cluster.kubeconfig), "HOME": str(cluster.kubeconfig.parent)}
+        command = [program("kubectl"), "proxy", "--port=0", f"--as={ACCOUNT}"]
+        proxy = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+        assert proxy.stdout is not None
+        api = ApiServer("http://" + proxy.stdout.readline().split()[-1])
+        with cluster.client() as administrator:
+            answer = administrator.get("/api/v1/namespaces/robotkube/configmaps/certificates").json()
+            document: Any = yaml.safe_load(answer["data"]["config.yaml"])
+            issuance = read_configuration(Reader("config.yaml"), document).issuance
+            yield Installed(cluster, administrator, api, issuance)
+        api.close()
+        proxy.kill()
+        proxy.communicate(timeout=10)
+
+
+@pytest.fixture
+def stage(installed: Installed) -> Installed:
+    installed.empty()
+    installed.now = 0.0
+    return installed
+
+
+def test_the_broker_has_a_certificate_that_every_agent_verifies(stage: Installed, tmp_path: Path) -> None:
+    stage.kept()
+    [authority] = stage.trusted()
+    assert authority == stage.secret("tls-authority")["tls.crt"]
+    (tmp_path / "ca.crt").write_text(authority)
+    shown = stage.secret("broker-tls")
+    server = server_context(tmp_path / "server", Pair(shown["tls.crt"], shown["tls.key"]))
+    assert handshake(server, ServerVerification(tmp_path / "ca.crt", NAME)) == "TLSv1.3"
+    assert not any("PRIVATE" in text for text in stage.trusted())
+
+
+def test_upgrades_and_restarts_keep_both_and_a_renewal_the_authority(stage: Installed) -> None:
+    stage.kept()
+    authority, shown = stage.secret("tls-authority"), stage.secret("broker-tls")
+    for options in ((), ("--set", "logLevel=debug")):
+        stage.cluster.helm("upgrade", "robotkube", str(CHART), "-f", str(PROFILE), "--no-hooks", *options)
+        stage.kept()
+        assert (stage.secret("tls-authority"), stage.secret("broker-tls")) == (authority, shown)
+        assert stage.trusted() == {authority["tls.crt"]}
+    stage.now = 2 / 3 * stage.issuance.seconds
+    stage.kept()
+    assert stage.secret("broker-tls") != shown
+    assert stage.secret("tls-authority") == authority
+
+
+def test_no_key_stands_in_a_release_of_helms_or_in_another_secret(stage: Installed) -> None:
+    stage.kept()
+    stage.cluster.helm("upgrade", "robotkube", str(CHART), "-f", str(PROFILE), "--no-hooks")
+    items = stage.administrator.get("/api/v1/secrets").raise_for_status().json()["items"]
+    for name in ("tls-authority", "broker-tls"):
+        body = stage.secret(name)["tls.key"].splitlines()[1]
+        assert [item["metadata"]["name"] for item in items if body in words(item)] == [name]
+
+
+def test_what_another_hand_wrote_into_an_agents_namespace_is_put_right(stage: Installed) -> None:
+    stage.kept()
+    before = stage.trusted()
+    path = "/api/v1/namespaces/vehicle-00/configmaps/robotkube-ca"
+    merge = {"Content-Type": "application/merge-patch+json"}
+    stage.administrator.patch(path, content='{"data": {"ca.crt": "another"}}', headers=merge).raise_for_status()
+    stage.kept()
+    assert stage.trusted() == before
+
+
+def test_the_authority_is_written_only_into_the_secret_that_was_read_empty(stage: Installed) -> None:
+    """Two processes at once, as during an upgrade: the second one takes the first one's."""
+    slow = KubernetesCertificates(stage.api, stage.issuance)
+    assert slow.authority() is None
+    stage.kept()
+    kept = stage.secret("tls-authority")
+    with pytest.raises(Exception, match="somebody else changed it at the same time"):
+        slow.keep_authority(issuing.new_authority("slow", time.time()))
+    assert stage.secret("tls-authority") == kept
+
+
+@pytest.mark.parametrize("secret", ["robotkube-seed", "broker-accounts", "forge-account-gate"])
+def test_other_secrets_are_refused_and_none_can_be_made(stage: Installed, secret: str) -> None:
+    keeper = stage.keeper(replace(stage.issuance, authority=secret))
+    keeper.step()
+    assert f'secrets "{secret}" is forbidden' in keeper.problem
+    token = {"type": "kubernetes.io/service-account-token", "metadata": {"name": "mine"}}
+    with pytest.raises(InputError, match="secrets is forbidden"):
+        stage.api.create("/api/v1/namespaces/robotkube/secrets", {"apiVersion": "v1", "kind": "Secret", **token})
+    with pytest.raises(InputError, match='secrets "broker-tls" is forbidden'):
+        stage.api.delete("/api/v1/namespaces/robotkube/secrets/broker-tls")

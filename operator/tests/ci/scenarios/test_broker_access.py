@@ -1,0 +1,45 @@
+"""How a run reaches the broker from this machine: by its address, verified by the name that its account has."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from robotkube.foundation.certificates.adapters.verification import ServerVerification
+from scenarios.runner.access import Access, Endpoint
+
+HOST = "broker.robotkube.svc.cluster.local"
+ACCOUNT = {"username": "observer", "password": "secret", "host": HOST, "port": "8883"}
+
+
+class Cluster(Access):
+    """The cluster's answers."""
+
+    def __init__(self, tls: str) -> None:
+        self.values = {**ACCOUNT, "tls": tls} if tls else ACCOUNT
+
+    def secret(self, namespace: str, name: str) -> dict[str, str]:
+        assert (namespace, name) == ("robotkube", "broker-account-observer")
+        return dict(self.values)
+
+    def configmap(self, namespace: str, name: str) -> dict[str, str]:
+        assert (namespace, name, self.values["tls"]) == ("robotkube", "robotkube-ca", "required")
+        return {"ca.crt": "the authority"}
+
+    def endpoint(self, name: str, namespace: str = "robotkube") -> Endpoint:
+        return Endpoint("10.96.0.9", 8883)
+
+
+def test_the_broker_proves_the_name_of_its_service(tmp_path: Path) -> None:
+    account = Cluster("required").broker_account("broker-account-observer", tmp_path)
+    assert (account.host, account.port, account.username) == ("10.96.0.9", 8883, "observer")
+    assert account.tls == ServerVerification(tmp_path / "ca.crt", HOST)
+    assert (tmp_path / "ca.crt").read_text() == "the authority"
+    assert tmp_path.stat().st_mode & 0o077 == 0
+
+
+@pytest.mark.parametrize("tls", ["", "off"])
+def test_in_clear_text_where_the_platform_says_so(tmp_path: Path, tls: str) -> None:
+    account = Cluster(tls).broker_account("broker-account-observer", tmp_path)
+    assert (account.host, account.tls) == ("10.96.0.9", None)

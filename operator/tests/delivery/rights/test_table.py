@@ -1,0 +1,213 @@
+"""The table of rights: what accounts may whatever main says, and what releases on main give them to read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from robotkube.delivery.deployment.core.releases import Release, read_tree
+from robotkube.delivery.rights.core.accounts import OWNER, READ, WRITE, Right, fixed_rights
+from robotkube.delivery.rights.core.control import DEFAULTS, Client, Password, Standing, first_file, wanted_roles
+from robotkube.delivery.rights.core.differences import foreign_changes, missing, role_changes
+from robotkube.delivery.rights.core.grants import MainTable, granted, main_table
+from robotkube.robots.bridge.core.rights import OUT, may
+from tests.stages.delivery.main_of_links import POSE_00, POSE_01, bridge, release, texts
+from tests.stages.delivery.rights_broker import ACCOUNTS
+
+FIXED = fixed_rights(ACCOUNTS)
+ROLES = wanted_roles(FIXED)
+
+
+def table(*releases: Release, before: MainTable | None = None) -> MainTable:
+    return main_table("c" * 40, read_tree(texts(*releases)), ACCOUNTS, before)
+
+
+def given_to(agent: str, main: MainTable) -> set[str]:
+    """The MQTT topics that main gives an agent to read, without what says their types."""
+    rights = main.table[agent] - FIXED[agent]
+    assert all(right.direction == READ for right in rights)
+    return {right.topic for right in rights if right.topic.startswith("mqtt/") or "/" not in right.topic}
+
+
+def test_an_agent_writes_below_its_own_places_only() -> None:
+    written = {agent.name: {r.topic for r in FIXED[agent.name] if r.direction == WRITE} for agent in ACCOUNTS.agents}
+    gateway = {n: {f"robotkube/{k}/{n}" for k in ("tasks", "holds")} | {f"robotkube/links/{n}/+"} for n in written}
+    kinds = ("", "robotkube/types/", "mqtt_client/ros_msg_type/")
+    assert written["vehicle-00"] - gateway["vehicle-00"] == {
+        f"{kind}mqtt/{place}/vehicle_00/#" for kind in kinds for place in ("agents", "vehicles")
+    }
+    assert written["cloud-0"] - gateway["cloud-0"] == {f"{kind}mqtt/agents/cloud_0/#" for kind in kinds}
+
+
+def test_everything_that_robots_say_is_for_the_observer_alone() -> None:
+    readers = {name for name, rights in FIXED.items() if Right("mqtt/#", READ) in rights}
+    assert readers == {"observer"}
+    assert not [right for right in FIXED["observer"] if right.direction == WRITE]
+
+
+def test_nobody_but_the_owner_may_change_rights() -> None:
+    assert [name for name, listed in ROLES.items() if any("$" in topic for _, topic, _ in listed)] == [OWNER]
+
+
+def test_links_on_main_give_to_read() -> None:
+    main = table(bridge("vehicle-00", POSE_01, "/agents/cloud_0/plan"), bridge("cloud-0", "/vehicles/{agent}/pose"))
+    assert given_to("vehicle-00", main) == {"mqtt/vehicles/vehicle_01/pose", "mqtt/agents/cloud_0/plan"}
+    assert given_to("cloud-0", main) == {"mqtt/vehicles/+/pose"}
+    assert given_to("vehicle-01", main) == set()
+    kinds = {"robotkube/types/mqtt/vehicles/+/pose", "mqtt_client/ros_msg_type/mqtt/vehicles/+/pose"}
+    assert {Right(topic, READ) for topic in kinds} <= main.table["cloud-0"]
+
+
+def test_a_detector_that_reads_the_broker_is_given_its_topics() -> None:
+    topics = [{"name": "/vehicles/{agent}/pose", "type": "a", "source": "mqtt"}, {"name": "/other", "type": "a"}]
+    main = table(release("cloud-0", "watch", {"detector": {"topics": topics}}, chart="event-detector"))
+    assert given_to("cloud-0", main) == {"mqtt/vehicles/+/pose"}
+
+
+def test_a_release_gives_to_the_agent_of_its_namespace_whatever_it_says() -> None:
+    main = table(bridge("vehicle-01", POSE_00, agent="cloud-0"))
+    assert given_to("vehicle-01", main) == {"mqtt/vehicles/vehicle_00/pose"}
+    assert main.table["cloud-0"] == FIXED["cloud-0"]
+    assert table(bridge("elsewhere", POSE_00)).table == FIXED
+
+
+def test_the_task_gateway_needs_no_grant_and_is_given_to_nobody_else() -> None:
+    main = table(bridge("vehicle-00", "/robotkube/task_status"))
+    assert main.table == FIXED
+    assert main.problems == ()
+
+
+@pytest.mark.parametrize(
+    "item",
+    [
+        {"name": "/a", "mqtt_topic": "robotkube/tasks/vehicle-01"},
+        {"name": "/a", "mqtt_topic": "robotkube/task_status/vehicle-01"},
+        {"name": "/a", "mqtt_topic": "$CONTROL/dynamic-security/v1/response"},
+        {"name": "/a", "mqtt_topic": "$share/g/mqtt/vehicles/vehicle_01/pose"},
+        {"name": "/a", "mqtt_topic": "#"},
+        {"name": "/a", "mqtt_topic": "mqtt/+/x"},
+        {"name": "/a/#"},
+        {"name": "/+"},
+        {"name": "/{agent}/{agent}"},
+        {"name": 7},
+        "/a",
+        None,
+    ],
+)
+def test_what_is_no_topic_gives_nothing_and_is_said(item: Any) -> None:
+    values = {"bridge": {"in": [item, {"name": POSE_01}]}}
+    main = table(release("vehicle-00", "mqtt-bridge", values))
+    assert given_to("vehicle-00", main) == {"mqtt/vehicles/vehicle_01/pose"}
+    assert [problem.split(": ")[:2] for problem in main.problems] == [
+        ["releases/vehicle-00/mqtt-bridge.yaml", "bridge.in[0]"]
+    ]
+
+
+def test_another_name_at_the_broker() -> None:
+    main = table(bridge("vehicle-00", {"name": "/ping", "mqtt_topic": "pingpong/ros"}))
+    assert Right("pingpong/ros", READ) in main.table["vehicle-00"]
+    assert Right("mqtt/ping", READ) not in main.table["vehicle-00"]
+
+
+def test_a_broken_file_is_not_a_withdrawal() -> None:
+    first = table(bridge("vehicle-00", POSE_01), bridge("cloud-0", POSE_00))
+    files = {**texts(bridge("vehicle-00", POSE_01)), "releases/vehicle-00/mqtt-bridge.yaml": "no release"}
+    main = main_table("d" * 40, read_tree(files), ACCOUNTS, first)
+    assert given_to("vehicle-00", main) == {"mqtt/vehicles/vehicle_01/pose"}
+    assert given_to("cloud-0", main) == set()
+    assert "cannot be read; what it gave before stays" in main.problems[0]
+    assert main_table("d" * 40, read_tree(files), ACCOUNTS, None).table == FIXED
+
+
+PARTS = ["/", "$", "+", "#", "{agent}", "a", "robotkube/tasks", "mqtt", "/vehicles/vehicle_01"]
+words = st.lists(st.sampled_from(PARTS), max_size=4).map("".join)
+items = st.fixed_dictionaries({"name": words | st.none()}, optional={"mqtt_topic": words, "source": st.just("mqtt")})
+lists = st.lists(items | words, max_size=3) | words
+
+
+@given(lists, lists)
+def test_whatever_anybody_deploys_gives_nothing_of_the_platform(incoming: Any, topics: Any) -> None:
+    deployed = release("vehicle-00", "any", {"bridge": {"in": incoming}, "detector": {"topics": topics}})
+    for grant in granted(deployed, ACCOUNTS).grants:
+        assert grant.agent == "vehicle-00"
+        for right in grant.rights:
+            assert right.direction == READ
+            assert not right.topic.startswith(("$", "#", "+", "robotkube/task", "robotkube/holds"))
+            assert "#" not in right.topic
+
+
+TOPIC_WORDS = st.sampled_from(["agents", "vehicles", "vehicle_00", "cloud_0", "a"])
+
+
+@given(st.sampled_from(ACCOUNTS.agents), st.lists(TOPIC_WORDS, max_size=5))
+def test_what_may_be_composed_is_what_may_be_written(agent: Any, words: list[str]) -> None:
+    topic = "/" + "/".join(words)
+    places = [right.topic.removesuffix("#") for right in FIXED[agent.name] if right.direction == WRITE]
+    assert may(agent, OUT, topic) == any(f"mqtt{topic}/".startswith(place) for place in places)
+
+
+# -- what stands at the broker ----------------------------------------------------------------------------------------
+
+CLIENTS = {name: Client((name,)) for name in ROLES}
+
+
+def test_nothing_to_do_where_all_is_as_it_shall_be() -> None:
+    standing = Standing(ROLES, CLIENTS)
+    assert role_changes(standing, ROLES) == []
+    assert list(foreign_changes(standing, ROLES)) == []
+
+
+def test_rights_change_by_whole_lists_and_nothing_else() -> None:
+    main = table(bridge("vehicle-00", POSE_01))
+    [change] = role_changes(Standing(ROLES, CLIENTS), wanted_roles(main.table))
+    assert (change.request["command"], change.request["rolename"]) == ("modifyRole", "vehicle-00")
+    assert "without publishClientReceive mqtt/vehicles/vehicle_01/pose" in change.was.replace(
+        "mqtt_client/ros_msg_type/", ""
+    )
+
+
+@pytest.mark.parametrize(
+    ("changed", "command", "was"),
+    [
+        (
+            {"defaults": {**DEFAULTS, "publishClientReceive": True}},
+            "setDefaultACLAccess",
+            "publishClientReceive allowed",
+        ),
+        ({"anonymous": "all"}, "setAnonymousGroup", "group all"),
+        ({"groups": ("all",)}, "deleteGroup", "a group"),
+        ({"roles": {**ROLES, "x": frozenset()}}, "deleteRole", "a role that is not ours"),
+        ({"roles": {k: v for k, v in ROLES.items() if k != "cloud-0"}}, "createRole", "no role of the account's name"),
+        ({"clients": {**CLIENTS, "x": Client(("x",))}}, "deleteClient", "an account that is not ours"),
+        ({"clients": {**CLIENTS, "cloud-0": Client(("cloud-0", "x"))}}, "modifyClient", "the roles cloud-0, x"),
+        ({"clients": {**CLIENTS, "cloud-0": Client(("cloud-0",), ("g",))}}, "modifyClient", "group g"),
+        ({"clients": {**CLIENTS, "cloud-0": Client(("cloud-0",), (), True)}}, "enableClient", "disabled"),
+    ],
+)
+def test_what_only_another_hand_can_have_done(changed: Mapping[str, Any], command: str, was: str) -> None:
+    standing = Standing(**{"roles": ROLES, "clients": CLIENTS, **changed})
+    [change] = foreign_changes(standing, ROLES)
+    assert change.request["command"] == command
+    assert was in change.was
+
+
+def test_an_account_that_is_gone_cannot_be_made_here() -> None:
+    assert missing(Standing(ROLES, {k: v for k, v in CLIENTS.items() if k != "cloud-0"}), ROLES) == ["cloud-0"]
+
+
+def test_the_first_file_keeps_lists_and_makes_accounts_anew() -> None:
+    passwords = {name: Password(f"digest of {name}", "salt", 101) for name in ROLES}
+    main = table(bridge("vehicle-00", POSE_01))
+    before = first_file(main.table, passwords, None)
+    before["roles"].append({"rolename": "stranger", "acls": []})
+    [own] = [role for role in before["roles"] if role["rolename"] == OWNER]
+    own["acls"] = []
+    anew = {name: Password("another", "salt", 101) for name in ROLES}
+    file = first_file(FIXED, anew, before)
+    assert file["roles"] == first_file(main.table, anew, None)["roles"]
+    assert {client["password"] for client in file["clients"]} == {"another"}
+    assert first_file(FIXED, anew, {"roles": "broken"}) == first_file(FIXED, anew, None)

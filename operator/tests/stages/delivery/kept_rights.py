@@ -1,0 +1,75 @@
+"""A broker whose rights are kept to a main in memory, by the process's own loops."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from robotkube.delivery.deployment.core.releases import Release
+from robotkube.delivery.rights.adapters.dynamic_security import DynamicSecurity
+from robotkube.delivery.rights.loops.keeper import Keeper
+from robotkube.delivery.rights.loops.main_follower import MainFollower
+from tests.stages.delivery.main_of_links import Main
+from tests.stages.delivery.mqtt_connection import Connection
+from tests.stages.delivery.rights_broker import ACCOUNTS, RightsBroker, password
+from tests.stages.waiting import until
+
+
+class KeptRights:
+    """A broker, main, and the process's loops between them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.broker = RightsBroker(folder)
+        self.main = Main()
+        self.made: list[Connection] = []
+        self.broker.start()
+        self.begin()
+
+    def begin(self) -> None:
+        """The process starts."""
+        self.control = DynamicSecurity(lambda: self.broker.account("rights"))
+        self.keeper = Keeper(self.control, lambda: self.follower, ACCOUNTS, time.monotonic)
+        self.follower = MainFollower(self.main, ACCOUNTS, self.keeper.wake, time.monotonic)
+        self._stopping = threading.Event()
+        self._threads = [
+            threading.Thread(target=one.run, args=(self._stopping,)) for one in (self.keeper, self.follower)
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def end(self) -> None:
+        """The process ends."""
+        self._stopping.set()
+        self.keeper.wake()
+        self.follower.wake()
+        for thread in self._threads:
+            thread.join(10)
+
+    def merge(self, *releases: Release) -> float:
+        """Main has these releases and no others; the seconds until the broker had its table."""
+        tip = self.main.put(*releases)
+        begun = time.monotonic()
+        self.follower.wake(tip)
+        until(lambda: self.keeper.applied == tip, "the table", state=lambda: self.keeper.reasons_not_ready())
+        return time.monotonic() - begun
+
+    def ready(self) -> None:
+        until(lambda: self.keeper.reasons_not_ready() == [], "ready", state=lambda: self.keeper.reasons_not_ready())
+
+    def connect(self, name: str, will: str = "") -> Connection:
+        self.made.append(Connection(self.broker.port, name, password(name), will))
+        return self.made[-1]
+
+    @contextmanager
+    def other_hand(self) -> Iterator[DynamicSecurity]:
+        """Somebody else who has the owner's password."""
+        self.end()
+        hand = DynamicSecurity(lambda: self.broker.account("rights"))
+        until(lambda: (hand.turn(), hand.complaint is None)[1], "a connection")
+        yield hand
+        hand.close()
+        self.begin()
+        self.ready()

@@ -1,0 +1,104 @@
+"""A real mosquitto with the dynamic security plugin, begun as the chart's pod begins it."""
+
+from __future__ import annotations
+
+import shutil
+import signal
+import socket
+import subprocess
+import time
+from pathlib import Path
+
+from robotkube.delivery.rights import first_file
+from robotkube.delivery.rights.core.accounts import OBSERVER, OWNER, Accounts, AgentAccount, ManagerAccount
+from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
+from tests.stages.programs import free_port
+
+START_SECONDS_MAX = 30.0
+PLUGIN = "mosquitto_dynamic_security.so"
+SETTINGS = """
+listener {port} 127.0.0.1
+user root
+allow_anonymous false
+plugin {plugin}
+plugin_opt_config_file {file}
+persistence false
+max_queued_messages 50000
+sys_interval 0
+connection_messages false
+log_dest stdout
+log_type error
+log_type warning
+log_type notice
+"""
+NAMES = [("vehicle-00", "vehicle"), ("vehicle-01", "vehicle"), ("roadside-0", "roadside"), ("cloud-0", "cloud")]
+ACCOUNTS = Accounts(tuple(AgentAccount(name, role, name) for name, role in NAMES), (ManagerAccount("manager", ("*",)),))
+
+
+def plugin() -> Path:
+    """The plugin that came with the mosquitto in the path."""
+    program = shutil.which("mosquitto")
+    assert program, "mosquitto is not installed"
+    prefix = Path(program).resolve().parent.parent
+    found = sorted([*prefix.glob(f"lib/{PLUGIN}"), *prefix.glob(f"lib/*/{PLUGIN}")])
+    assert found, f"{prefix}/lib has no {PLUGIN}"
+    return found[0]
+
+
+class RightsBroker:
+    """The broker in a folder; its passwords are `secret of <account>`. `restart` keeps the file, as a container that
+    starts again does; `begin_anew` does not, as another pod."""
+
+    def __init__(self, folder: Path, accounts: Accounts = ACCOUNTS) -> None:
+        self.folder, self.accounts, self.port = folder, accounts, free_port()
+        self.file = folder / "run" / "dynamic-security.json"
+        self.passwords = folder / "passwords"
+        self.log = folder / "log"
+        self._process: subprocess.Popen[bytes] | None = None
+        self.file.parent.mkdir(parents=True)
+        names = [OWNER, OBSERVER, *(agent.name for agent in accounts.agents), *(one.name for one in accounts.managers)]
+        self.passwords.write_text("".join(f"{name}:{password(name)}\n" for name in names))
+        settings = SETTINGS.format(port=self.port, plugin=plugin(), file=self.file)
+        (folder / "mosquitto.conf").write_text(settings)
+
+    def account(self, name: str) -> BrokerAccount:
+        return BrokerAccount("127.0.0.1", self.port, name, password(name))
+
+    def start(self) -> None:
+        """Write the file as the init container does, and return when the broker takes connections."""
+        first_file.write(self.accounts, self.passwords, self.file)
+        self._process = run_mosquitto(self.folder / "mosquitto.conf", self.port, self.log)
+
+    def stop(self) -> None:
+        if self._process is not None:
+            self._process.send_signal(signal.SIGTERM)
+            self._process.wait(10)
+            self._process = None
+
+    def restart(self) -> None:
+        self.stop()
+        self._process = run_mosquitto(self.folder / "mosquitto.conf", self.port, self.log)
+
+    def begin_anew(self) -> None:
+        self.stop()
+        self.file.unlink()
+        self.start()
+
+
+def password(account: str) -> str:
+    return f"secret of {account}"
+
+
+def run_mosquitto(configuration: Path, port: int, log: Path) -> subprocess.Popen[bytes]:
+    """A mosquitto that takes connections."""
+    with log.open("ab") as sink:
+        process = subprocess.Popen(["mosquitto", "-c", str(configuration)], stdout=sink, stderr=sink)
+    deadline = time.monotonic() + START_SECONDS_MAX
+    while True:
+        assert process.poll() is None, log.read_text()
+        try:
+            socket.create_connection(("127.0.0.1", port), 1).close()
+            return process
+        except OSError:
+            assert time.monotonic() < deadline, log.read_text()
+            time.sleep(0.02)

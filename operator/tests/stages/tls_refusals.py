@@ -1,0 +1,61 @@
+"""Values of tls that do not fit each other, and how the chart refuses them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+EXTERNAL = {"kind": "external", "external": {"host": "mqtt.example", "port": 8883}}
+AUTHORITY = "-----BEGIN CERTIFICATE-----\nMIIB\n-----END CERTIFICATE-----\n"
+
+TLS_REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
+    "certificates made for a broker of somebody else": (
+        {"broker": EXTERNAL},
+        "tls.mode is made, but broker.kind is external: its owner has its certificate. Set tls.mode: provided with the",
+    ),
+    "a second listener of somebody else's broker": (
+        {"broker": EXTERNAL, "tls": {"mode": "off", "plain": True}},
+        "tls.plain is true, but broker.kind is external: its listeners are its owner's. Leave it out;",
+    ),
+    "nobody to trust": (
+        {"tls": {"mode": "provided", "provided": {"secret": "mine"}}},
+        "tls.mode is provided, but tls.authorities is empty: nobody could verify the broker. Put the PEM",
+    ),
+    "nobody to trust an Issuer": (
+        {"tls": {"mode": "cert-manager", "issuer": {"name": "ours"}}},
+        "tls.mode is cert-manager, but tls.authorities is empty",
+    ),
+    "an authority that is a private key": (
+        {
+            "tls": {
+                "mode": "provided",
+                "provided": {"secret": "mine"},
+                "authorities": f"{AUTHORITY}-----BEGIN PRIVATE KEY-----",
+            }
+        },
+        "tls.authorities: holds a private key; it would stand in ConfigMaps that every agent reads.",
+    ),
+    "an authority that is no PEM": (
+        {"tls": {"mode": "provided", "provided": {"secret": "mine"}, "authorities": "ours"}},
+        "tls.authorities: must be PEM that begins with -----BEGIN CERTIFICATE-----",
+    ),
+    "authorities that nobody asks for": (
+        {"tls": {"authorities": AUTHORITY}},
+        "tls.authorities is given, but tls.mode is made: nobody would trust them. Set the mode to provided or",
+    ),
+    "a provided certificate without a Secret": (
+        {"tls": {"mode": "provided", "authorities": AUTHORITY}},
+        "tls.mode is provided, but tls.provided.secret is empty. Name the Secret",
+    ),
+    "a Secret that nobody mounts": (
+        {"tls": {"provided": {"secret": "mine"}}},
+        "tls.provided.secret is given, but tls.mode is made. Set the mode to provided, or leave the Secret out.",
+    ),
+    "an Issuer without a name": (
+        {"tls": {"mode": "cert-manager", "authorities": AUTHORITY}},
+        "tls.mode is cert-manager, but tls.issuer.name is empty. Name the Issuer",
+    ),
+    "an Issuer that nobody asks": (
+        {"tls": {"issuer": {"name": "ours"}}},
+        "tls.issuer.name is given, but tls.mode is made. Set the mode to cert-manager, or leave the name out.",
+    ),
+}
