@@ -264,7 +264,7 @@ def test_a_loss_that_a_gap_covers_is_explained(ledgers: Path) -> None:
     gap = {"where": "recorder", "why": "killed", "count": None, "first": 250, "last": 350}
     memory.told[0] = audit(POSE, 3, gaps=[gap])
     (row,) = [row for row in verified(memory, ledgers).rows if row["topic"] == POSE]
-    assert (row["lost"], row["unexplained"], row["complete"]) == (1, 0, "false")
+    assert (row["lost"], row["unexplained"], row["complete"]) == (1, 0, False)
 
 
 def test_a_topic_without_ledger_is_no_success(ledgers: Path) -> None:
@@ -316,6 +316,18 @@ def test_a_recording_that_nothing_speaks_against_but_no_seal_proves_has_an_exit_
     monkeypatch.setattr(cli_recordings, "verify_one", lambda options: table)
     assert cli.main(["recording", "verify", NAME]) == cli.EXIT_UNPROVED == 4
     assert f"robotkube: {NAME}: has no manifest: " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("form", "word"), [("json", '"complete": false'), ("yaml", "complete: false"), ("table", "false")]
+)
+def test_an_incomplete_topic_is_false_for_programs_too(form: str, word: str) -> None:
+    """Not the text "false", which programs take for true."""
+    memory, text = Memory(), io.StringIO()
+    gap = {"where": "recorder", "why": "killed", "count": None, "first": 250, "last": 350}
+    memory.told[0] = audit(POSE, 3, gaps=[gap])
+    write(cli_recordings.verified({"cloud-0": memory}, memory, NAME, [], None), form, text)
+    assert word in text.getvalue()
 
 
 def test_ledgers_accuse_neither_padding_nor_a_stamp_of_reception(ledgers: Path) -> None:

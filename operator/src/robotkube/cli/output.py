@@ -64,6 +64,8 @@ def lines(table: Table) -> list[str]:
 def _cell(value: Any) -> str:
     if value is None or value == "" or value == []:
         return "-"
+    if isinstance(value, bool):
+        return str(value).lower()
     text = ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
     text = " ".join(text.split())
     return text if len(text) <= CELL_CHARACTERS_MAX else f"{text[: CELL_CHARACTERS_MAX - 1]}…"

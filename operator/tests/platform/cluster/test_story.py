@@ -145,9 +145,9 @@ def test_what_was_recorded_is_proved_by_its_seals(platform: Platform, story: Sto
     for recording in recordings:
         code, proof = ask("verify", recording)
         assert proof["manifests"], recording
-        assert {row["sealed"] for row in proof["manifests"]} == {"true"}, recording
+        assert {row["sealed"] for row in proof["manifests"]} == {True}, recording
         assert code in (0, 1), recording
-        incomplete = [row for row in proof["topics"] if row["complete"] != "true"]
+        incomplete = [row for row in proof["topics"] if not row["complete"]]
         assert (code == 0) == (not incomplete), (recording, code, incomplete)
         unnamed = [row for row in incomplete if not row["gap_count"] or row["unexplained"]]
         assert not unnamed, (recording, unnamed)

@@ -91,7 +91,7 @@ def test_a_recording_that_nobody_touched_is_sealed(place: Place) -> None:
     table = place.verified()
     assert (table.refusal, table.reservation) == ("", "")
     (row,) = table.more[0].rows
-    assert (row["sealed"], row["volume"], row["adopted"]) == ("true", VOLUME, 0)
+    assert (row["sealed"], row["volume"], row["adopted"]) == (True, VOLUME, 0)
     stored = sum(len(place.collection(name)) for name in (SAMPLES, INDEX, SEGMENTS, AUDITS))
     assert row["documents"] == stored
 
@@ -250,7 +250,7 @@ def test_who_goes_on_behind_a_killed_writer_seals_what_that_one_had_not() -> Non
     assert "sealed" not in table.refusal.replace("has not sealed", "")
     assert all("killed" in gap["why"] for row in table.rows for gap in row["gaps"])
     first, second = table.more[0].rows
-    assert (first["sealed"], second["sealed"]) == ("false", "true")
+    assert (first["sealed"], second["sealed"]) == (False, True)
     assert second["adopted"] > 0
     stored = sum(len(place.collection(name)) for name in (SAMPLES, INDEX, SEGMENTS, AUDITS))
     assert first["documents"] + second["documents"] == stored

@@ -298,7 +298,7 @@ def _examined(topic: TopicExamination) -> dict[str, Any]:
         "unreadable": len(topic.unreadable),
         "gaps": [gap.document() for gap in gaps],
         "gap_count": len(gaps),
-        "complete": str(topic.complete).lower(),
+        "complete": topic.complete,
     }
 
 

@@ -43,7 +43,7 @@ class WriterManifest:
         return {
             "writer": self.life,
             "volume": self.volume,
-            "sealed": str(self.sealed).lower(),
+            "sealed": self.sealed,
             "documents": entries // ENTRY_BYTES,
             "adopted": adopted // ENTRY_BYTES,
             "key": self.key,
