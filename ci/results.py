@@ -1,7 +1,8 @@
 """A pytest plugin that writes each result as it comes, so that the counts of a run that dies are still known.
 
 One JSON line per fact in the file named by ROBOTKUBE_TEST_RESULTS: {"test": <node id>, "outcome": "started" | "passed"
-| "failed" | "skipped"}. A test's outcome is the worst of its lines; one that only started died with its run.
+| "failed" | "skipped", "why": <what a failure said>}. A test's outcome is the worst of its lines; one that only started
+died with its run.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import contextlib
 import json
 import os
 import signal
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,28 +20,42 @@ import pytest
 
 VARIABLE = "ROBOTKUBE_TEST_RESULTS"
 WORST_LAST = ("started", "passed", "skipped", "failed")
+WHY_CHARACTERS_MAX = 400
 
 
 @dataclass(frozen=True)
 class Counts:
-    """How many tests ended how; `died` are those that started and never ended (they count as failed)."""
+    """How many tests ended how; `died` are those that started and never ended (they count as failed). `failures` says
+    of each failed one, in one line, why."""
 
     passed: int
     failed: int
     skipped: int
     died: tuple[str, ...] = ()
+    failures: Mapping[str, str] = field(default_factory=dict, compare=False)
 
 
 def read(path: Path) -> Counts:
     """Counts of a results file; all zero when the run did not even begin."""
     outcomes: dict[str, str] = {}
+    failures: dict[str, str] = {}
     for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
         fact = json.loads(line)
         known = outcomes.get(fact["test"], "started")
         outcomes[fact["test"]] = max(known, fact["outcome"], key=WORST_LAST.index)
+        if fact["outcome"] == "failed":
+            failures.setdefault(fact["test"], fact["why"])
     ends = list(outcomes.values())
     died = tuple(test for test, outcome in outcomes.items() if outcome == "started")
-    return Counts(ends.count("passed"), ends.count("failed") + len(died), ends.count("skipped"), died)
+    failures |= dict.fromkeys(died, "the run ended in the middle of it")
+    return Counts(ends.count("passed"), ends.count("failed") + len(died), ends.count("skipped"), died, failures)
+
+
+def why(report: pytest.TestReport | pytest.CollectReport) -> str:
+    """What a failure says, in one line: its exception where pytest knows one, or the end of the report."""
+    crash = getattr(report.longrepr, "reprcrash", None)
+    text = " ".join((crash.message if crash else report.longreprtext).split())
+    return text[:WHY_CHARACTERS_MAX] if crash else text[-WHY_CHARACTERS_MAX:]
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -81,19 +97,19 @@ class Recorder:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(process, signal.SIGINT)
 
-    def note(self, test: str, outcome: str) -> None:
+    def note(self, test: str, outcome: str, why: str = "") -> None:
         """One line."""
         with self.path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps({"test": test, "outcome": outcome}) + "\n")
+            file.write(json.dumps({"test": test, "outcome": outcome, "why": why}) + "\n")
 
     def pytest_runtest_logstart(self, nodeid: str) -> None:
         self.note(nodeid, "started")
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if report.when == "call" or report.outcome != "passed":
-            self.note(report.nodeid, report.outcome)
+            self.note(report.nodeid, report.outcome, why(report) if report.failed else "")
 
     def pytest_collectreport(self, report: pytest.CollectReport) -> None:
         """A file that cannot be imported is a failure of its own."""
         if report.outcome == "failed":
-            self.note(report.nodeid, "failed")
+            self.note(report.nodeid, "failed", why(report))

@@ -15,9 +15,9 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain, combinations
 from pathlib import Path
 
@@ -75,13 +75,14 @@ THOROUGH = (
 
 @dataclass(frozen=True)
 class Result:
-    """Counts of one group, and its wall time in seconds."""
+    """Counts of one group, its wall time in seconds, and why each of its failed tests failed."""
 
     group: Group
     passed: int
     failed: int
     skipped: int
     seconds: float
+    failures: Mapping[str, str] = field(default_factory=dict)
 
 
 def run_checks(group: Group) -> results.Counts:
@@ -99,13 +100,11 @@ def run_pytest(group: Group, places: Sequence[str] = (TESTS,)) -> results.Counts
         process = subprocess.Popen(command, cwd=TOP, env={**environment, results.VARIABLE: str(report)})
         code = wait(process, group)
         counts = results.read(report)
-    for test in counts.died:
-        print(f"{group.name}: the run ended in the middle of {test}", flush=True)
     if not counts.passed + counts.failed + counts.skipped:
         print(f"{group.name}: no test was run (pytest ended with {code})", flush=True)
     if code and not counts.failed:
         print(f"{group.name}: no test failed, but pytest ended with {code}: counted as one failure", flush=True)
-        return results.Counts(counts.passed, 1, counts.skipped)
+        return results.Counts(counts.passed, 1, counts.skipped, failures={group.name: f"pytest ended with {code}"})
     return counts
 
 
@@ -188,7 +187,13 @@ def run(group: Group, places: Sequence[str]) -> Result:
     preparing.prepare(group.needs)
     began = time.monotonic()
     counts = run_pytest(group, places) if group.marker else run_checks(group)
-    return Result(group, counts.passed, counts.failed, counts.skipped, time.monotonic() - began)
+    seconds = time.monotonic() - began
+    return Result(group, counts.passed, counts.failed, counts.skipped, seconds, counts.failures)
+
+
+def failures(finished: Iterable[Result]) -> list[str]:
+    """A line for each failed test of all groups: the reports stand far above, where who sees only the end does not."""
+    return [f"failed: {test}: {why}" for one in finished for test, why in one.failures.items()]
 
 
 def table(finished: Iterable[Result]) -> str:
@@ -229,7 +234,7 @@ def main() -> int:
     differences = principles.differences()
     if differences and any(one.group.name in ("platform", "clusters") for one in finished):
         print(f"\nTable I is not what its page states ({differences}): `make reference` writes it", flush=True)
-    print("\n" + table(finished), flush=True)
+    print("\n" + "\n".join([*failures(finished), table(finished)]), flush=True)
     return 1 if any(one.failed or not one.passed for one in finished) else 0
 
 

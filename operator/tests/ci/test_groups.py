@@ -159,6 +159,18 @@ def test_each_test_counts_once_as_its_worst(tmp_path: Path) -> None:
     assert (code, counts) == (1, results.Counts(1, 2, 1))
 
 
+def test_each_failure_says_why(tmp_path: Path) -> None:
+    _, counts = counted(tmp_path, "mixed", MIXED)
+    assert len(counts.failures) == counts.failed
+    finished = [
+        groups.Result(groups.FAST, 1, 2, 1, 2.0, counts.failures),
+        groups.Result(groups.GROUPS[2], 1, 0, 0, 2.0),
+    ]
+    lines = groups.failures(finished)
+    assert [line.split("::")[0] for line in lines] == ["failed: test_mixed.py"] * 2
+    assert all(line.split(": ", 2)[2] for line in lines)
+
+
 def test_a_run_that_is_killed_keeps_its_counts(tmp_path: Path) -> None:
     code, counts = counted(tmp_path, "dying", DYING)
     assert code == -9
@@ -176,6 +188,7 @@ def test_a_file_that_cannot_be_imported_is_a_failure(tmp_path: Path) -> None:
     code, counts = counted(tmp_path, "broken", "import nothing_of_this_name\n")
     assert code != 0
     assert counts == results.Counts(0, 1, 0)
+    assert "nothing_of_this_name" in counts.failures["test_broken.py"]
 
 
 def test_no_run_at_all_counts_nothing(tmp_path: Path) -> None:
