@@ -78,6 +78,7 @@ def settings_of(rendered: Any, forge: ForgeProcess, port: int, broker: int, fold
     document["forge"]["url"] = forge.url
     document["listen"] = {"address": "127.0.0.1", "port": port}
     document["broker"] |= {"host": "127.0.0.1", "port": broker}
+    del document["broker"]["authorities"]  # this broker speaks in clear text
     (folder / "secrets" / "broker" / "password").write_text(password("rights"))
     found.write_text(yaml.safe_dump(document))
     return found

@@ -179,6 +179,7 @@ def test_what_others_make_of_an_inspection_is_seen(api: Api, own: ApiServer) -> 
         own.delete(path)
         try:
             reporter.attend()
+            reporter.report(look)  # attending leaves what could not be written to the next look
         except InputError as error:
             return str(error)
         except UnavailableError:  # where mutations are computed, a new definition is known a few seconds later
