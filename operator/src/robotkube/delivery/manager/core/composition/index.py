@@ -108,7 +108,7 @@ class Index:
 
     def forbidden(self, group: Group) -> Mapping[str, str]:
         """Candidates for a group on which the broker would refuse one of its links, with why."""
-        needs = tuple(need for request in group.requests for need in request.links)
+        needs = tuple(need for request in group.requests for need in request.links if need.binds)
         if not needs or group.wanted.named:
             return {}
         key = (group.wanted, needs)

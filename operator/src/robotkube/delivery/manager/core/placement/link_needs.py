@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from robotkube.robots.bridge.core.rights import OUT, Account, may
+from robotkube.robots.bridge.core.rights import OUT, Account, may, may_anybody
 
 
 @dataclass(frozen=True)
@@ -18,6 +18,11 @@ class LinkNeed:
     topic: str
     agent: str = ""
     role: str = ""
+
+    @property
+    def binds(self) -> bool:
+        """Whether there can be an agent that cannot have it."""
+        return not may_anybody(self.direction, self.topic)
 
     def obstacle(self, agent: Account) -> str:
         """Why an agent cannot have it; empty when it can."""
