@@ -25,7 +25,7 @@ PROFILES = Path(__file__).parent / "profiles"
 HELM_SECONDS_MAX = 60
 PLATFORM = CHARTS / "robotkube"
 ARCHIVED = ("charts", "gitops", "registry/policies")  # the platform chart links to the latter two
-ROS_IMAGE = f"forge.robotkube.svc.cluster.local:3000/robotkube/ros@sha256:{'5' * 64}"
+IMAGES = "forge.robotkube.svc.cluster.local:3000/robotkube"
 APP_CHARTS = ("mqtt-bridge", "event-detector", "bag-player", "object-detection", "object-tracking")
 
 LOADER = yaml.CSafeLoader  # Argo CD's manifests are 34 000 lines: 0.6 s in C, 9 s in Python
@@ -120,7 +120,7 @@ class Helm:
     def _with_image(self, chart: Path) -> Path:
         folder = self.folder / f"charts-{len(list(self.folder.iterdir()))}" / chart.name
         shutil.copytree(chart, folder)  # follows the link to the library chart, as packing does
-        images = {name: ROS_IMAGE.replace("/ros@", f"/{name}@") for name in chart_images.NAMES}
+        images = {name: f"{IMAGES}/{name}@sha256:{'5' * 64}" for name in chart_images.NAMES}
         (folder / "images.yaml").write_text(yaml.safe_dump(images))
         return folder
 

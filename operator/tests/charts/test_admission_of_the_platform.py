@@ -24,7 +24,7 @@ from ci.installation import PLATFORM_IMAGES, Installer, platform_values
 from robotkube.registry.admission.loops.following import CatalogueListing, Following
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 from robotkube.registry.suites.core.namespace_contents import HelperPod, placed
-from tests.charts.conftest import APP_CHARTS, CHARTS, PLATFORM, PROFILES, ROS_IMAGE, Helm
+from tests.charts.conftest import APP_CHARTS, CHARTS, PLATFORM, PROFILES, Helm, Rendered
 from tests.ci.cluster.test_admission import SCENARIO, Forge
 from tests.stages.kubernetes.controllers import controlling
 from tests.stages.kubernetes.installed_chart import Cluster, prepared_cluster
@@ -155,11 +155,14 @@ def test_what_the_suite_runner_tries_runs_by_its_own_account(demo: Demo, helm: H
 
 def test_every_chart_runs_on_an_agent_once_it_is_published(demo: Demo, helm: Helm) -> None:
     """Applied as Argo CD does: by the server, with the rights of its application controller."""
-    applied = {chart: of_release(helm, chart) for chart in APP_CHARTS}
+    rendered = {chart: of_release(helm, chart) for chart in APP_CHARTS}
+    applied = {chart: one.objects for chart, one in rendered.items()}
+    images = {chart: image_of(one) for chart, one in rendered.items()}
+    assert len(set(images.values())) == len(APP_CHARTS)
     refused = demo.apply(AGENT, APPLICATION_CONTROLLER, *applied[APP_CHARTS[0]])
-    assert f"image {ROS_IMAGE} may not run in namespace {AGENT}" in refused
+    assert f"image {images[APP_CHARTS[0]]} may not run in namespace {AGENT}" in refused
     demo.forge.install()
-    demo.forge.publish(catalogue(published(evidence.signing_key(), artefact("app"), images=(ROS_IMAGE,))))
+    demo.forge.publish(catalogue(published(evidence.signing_key(), artefact("app"), images=tuple(images.values()))))
     assert demo.following.step()
     until(lambda: not demo.apply(AGENT, APPLICATION_CONTROLLER, *applied[APP_CHARTS[0]]), "the list is at work")
     for chart in APP_CHARTS[1:]:
@@ -170,11 +173,18 @@ def test_every_chart_runs_on_an_agent_once_it_is_published(demo: Demo, helm: Hel
     assert demo.refusals() == []
 
 
-def of_release(helm: Helm, chart: str) -> list[dict[str, Any]]:
-    """All objects of a release of a chart."""
+def of_release(helm: Helm, chart: str) -> Rendered:
+    """A release of a chart, which is a ConfigMap and a Deployment."""
     rendered = helm.template(CHARTS / "apps" / chart, PROFILES / f"{chart}.yaml", release=f"a-{chart}")
     assert rendered.of_kind("ConfigMap", "Deployment") == rendered.objects
-    return rendered.objects
+    return rendered
+
+
+def image_of(rendered: Rendered) -> str:
+    """The one image of a release."""
+    [(_, pod)] = rendered.pods
+    [container] = pod["containers"]
+    return str(container["image"])
 
 
 def test_nothing_of_it_would_be_stranded(demo: Demo) -> None:
