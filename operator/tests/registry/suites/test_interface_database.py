@@ -89,6 +89,7 @@ def test_a_collection_that_is_not_declared_is_found(namespace: LocalTestNamespac
         "set named: database out no_such: declared but absent",
         "set named: ros in /vehicles/suite_a/pointcloud leads to an output",
         "set named: undeclared collection database out audits",
+        "set named: undeclared collection database out manifests",
         "set named: undeclared collection database out recordings",
         "set named: undeclared collection database out segments",
         "set named: undeclared collection database out segments_index",
