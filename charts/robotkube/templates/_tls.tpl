@@ -82,7 +82,7 @@ authorities: /etc/robotkube/authorities/ca.crt
 read=/run/mosquitto/certificate-read
 : > "$read"
 (
-  while sleep 5; do
+  while sleep 5 && kill -0 $$; do
     if [ /etc/mosquitto-tls/tls.crt -nt "$read" ]; then
       : > "$read"
       kill -HUP $$

@@ -4,7 +4,6 @@ renewed certificate is shown without a restart and without a lost message."""
 from __future__ import annotations
 
 import contextlib
-import os
 import signal
 import socket
 import ssl
@@ -126,9 +125,18 @@ class EncryptedBroker:
         tls = ServerVerification(authorities or self.folder / "ca.crt", server)
         return BrokerAccount("127.0.0.1", self.port, name, password(name), tls)
 
+    def children(self) -> list[Path]:
+        """What runs beside mosquitto, below /proc."""
+        everything = [one for one in Path("/proc").iterdir() if one.name.isdigit()]
+        return [one for one in everything if _parent(one) == self.process.pid]
+
     def stop(self) -> int:
+        """End it; what looked at the certificate beside it ends by itself."""
+        beside = self.children()
         self.process.send_signal(signal.SIGTERM)
-        return self.process.wait(10)
+        code = self.process.wait(10)
+        until(lambda: not any(one.exists() for one in beside), "the end of what ran beside the broker")
+        return code
 
 
 @pytest.fixture(scope="module")
@@ -269,12 +277,8 @@ def test_probes_leave_no_words_in_the_log(broker: EncryptedBroker) -> None:
 def test_the_container_ends_at_once_with_its_program(broker: EncryptedBroker) -> None:
     """The program is mosquitto itself, so a kubelet's signal reaches it, and its end is the container's."""
     assert Path(f"/proc/{broker.process.pid}/comm").read_text().strip() == "mosquitto"
-    own = broker.process.pid
-    children = [int(one.name) for one in Path("/proc").iterdir() if one.name.isdigit() and _parent(one) == own]
+    assert broker.children()
     assert broker.stop() == 0
-    for child in children:  # in a pod they end with the first process of the container
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(child, signal.SIGKILL)
 
 
 def _parent(process: Path) -> int:
