@@ -104,6 +104,14 @@ COMMANDS = (
         "asking",
     ),
     Command(
+        "preflight",
+        "",
+        "whether a cluster can take the platform's chart, or go on with it; everything is read, nothing changed",
+        "preflight",
+        "check_cluster",
+        "asking",
+    ),
+    Command(
         "break-glass",
         "sign",
         "sign a change that goes to main without the gate, as the first or the next person",

@@ -10,8 +10,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import functools
-import os
-import shutil
 import sys
 import tempfile
 import time
@@ -26,7 +24,7 @@ from robotkube.cli.registry.reaching import Reached, reach
 from robotkube.cli.registry.submit import IMAGES_HELP, choosing_forge
 from robotkube.cli.registry.trying_on_cluster import NAMES, ClusterMeans, cluster_means
 from robotkube.errors import InputError, UnavailableError
-from robotkube.registry.charts.adapters.helm import HelmProgram
+from robotkube.registry.charts.adapters.helm import LACKING, HelmProgram, find_helm
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.publication.adapters.tried_folders import find_tried, stand_ins
 from robotkube.registry.publication.core.submissions import OWN_IMAGES
@@ -37,13 +35,10 @@ from robotkube.registry.suites.loops.images import ImagesSuite
 from robotkube.registry.suites.loops.static import StaticSuite
 from robotkube.registry.suites.plain_suites import images_suite, static_suite
 from robotkube.registry.suites.ports.suites import Suite
-from robotkube.registry.suites.run_process import HELM
 
 COLUMNS = ("name", "version", "suite", "outcome", "checks", "failed", "seconds")
 OWN_VERSIONS = {suite.name: suite.version for suite in (StaticSuite, ImagesSuite)}
-HELM_VARIABLE = "ROBOTKUBE_HELM"
 QUICK = "--quick runs nothing on a cluster"
-HELM_LACKING = f"there is no program helm; install it, or name it in {HELM_VARIABLE}"
 
 
 def choosing(parser: argparse.ArgumentParser) -> None:
@@ -77,8 +72,8 @@ def try_suites(options: argparse.Namespace) -> Table:
 @contextlib.contextmanager
 def _means(reached: Reached, quick: bool) -> Iterator[Trying]:
     """The suites that can be run here."""
-    program = _helm()
-    lacking = {} if program else dict.fromkeys(OWN_VERSIONS, HELM_LACKING)
+    program = find_helm()
+    lacking = {} if program else dict.fromkeys(OWN_VERSIONS, LACKING)
     suites: dict[str, Suite] = {StaticSuite.name: static_suite()}
     hindrance: Callable[[ChartSource, str], str] = _unknown_images
     with contextlib.ExitStack() as stack:
@@ -99,15 +94,8 @@ def _means(reached: Reached, quick: bool) -> Iterator[Trying]:
 
 def _cluster(reached: Reached, stack: contextlib.ExitStack, program: str, quick: bool) -> ClusterMeans:
     if not program:
-        return ClusterMeans({}, problem=HELM_LACKING)
+        return ClusterMeans({}, problem=LACKING)
     return ClusterMeans({}, problem=QUICK) if quick else cluster_means(reached, stack)
-
-
-def _helm() -> str:
-    """The program helm: the one that is named, that of the platform's image, or one on the PATH; empty without."""
-    named = os.environ.get(HELM_VARIABLE)
-    candidates = [named] if named else [HELM, shutil.which("helm")]
-    return next((str(Path(one).resolve()) for one in candidates if one and Path(one).is_file()), "")
 
 
 def _unknown_images(chart: ChartSource, suite: str) -> str:

@@ -22,7 +22,7 @@ from robotkube.foundation.kubernetes.adapters.http_client import ACCOUNT_FOLDER
 from robotkube.foundation.kubernetes.adapters.kubelet_client import KubeletClient
 from robotkube.foundation.runtime import settings_file as files
 from robotkube.foundation.runtime.process import Process
-from robotkube.registry.charts.adapters.helm import HelmProgram
+from robotkube.registry.charts.adapters.helm import PROGRAM, PROGRAM_VARIABLE, HelmProgram
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.evidence.core.statements import SuiteResult
 from robotkube.registry.evidence.core.verification_policy import SuiteRule
@@ -42,7 +42,6 @@ from robotkube.registry.suites.plain_suites import images_suite, static_suite
 from robotkube.registry.suites.ports.suites import Subject, Suite, SuiteAccount
 from robotkube.registry.suites.settings import FORMER_KEYS, RunnerConfiguration, read_configuration
 
-HELM = "/usr/local/bin/helm"
 ACCOUNT_SECONDS_MAX = 60.0
 ACCOUNT_PAUSE_SECONDS_FIRST, ACCOUNT_PAUSE_SECONDS_MAX = 0.5, 1.0
 
@@ -67,7 +66,7 @@ def run(configuration: RunnerConfiguration, request: SuiteRequest, namespace: st
             words = f"there is no suite {request.rule.name}; one of your own needs `image` in the verification policy"
             return unfinished(request.rule, words, 0.0)
         test_namespace = _test_namespace(configuration, namespace, request.rule.seconds) if namespace else None
-        program = HelmProgram(os.environ.get("ROBOTKUBE_HELM", HELM), Path(work))
+        program = HelmProgram(os.environ.get(PROGRAM_VARIABLE, PROGRAM), Path(work))
 
         def subject() -> Subject:
             _check_repositories(configuration, request)

@@ -80,12 +80,12 @@ class Peer:
         """Whether `other` is meant by a policy of this namespace."""
         if self.block is not None:
             return self.block.holds(other.address)
-        if not other.namespace or not _selects(self.pods or (), other.labels):
+        if not other.namespace or not selects(self.pods or (), other.labels):
             return False
         return (
             other.namespace == namespace
             if self.namespaces is None
-            else _selects(self.namespaces, other.namespace_labels)
+            else selects(self.namespaces, other.namespace_labels)
         )
 
 
@@ -125,7 +125,7 @@ class NetworkPolicy:
 
     def selects(self, pod: NetworkPeer) -> bool:
         """Whether it is about this pod."""
-        return pod.namespace == self.namespace and _selects(self.pods, pod.labels)
+        return pod.namespace == self.namespace and selects(self.pods, pod.labels)
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,8 @@ def _applies(rule: PolicyRule, namespace: str, other: NetworkPeer, to: tuple[Net
     return peers and (not rule.ports or any(port.holds(*to) for port in rule.ports))
 
 
-def _selects(selector: Selector, labels: Mapping[str, str]) -> bool:
+def selects(selector: Selector, labels: Mapping[str, str]) -> bool:
+    """Whether these labels meet every condition."""
     return all(requirement.holds(labels) for requirement in selector)
 
 
@@ -186,7 +187,7 @@ def read_policy(document: Mapping[str, Any]) -> NetworkPolicy:
     return NetworkPolicy(
         namespace=str(metadata.get("namespace", "")),
         name=str(metadata.get("name", "")),
-        pods=_selector(spec.get("podSelector") or {}, f"{where}: spec.podSelector"),
+        pods=read_selector(spec.get("podSelector") or {}, f"{where}: spec.podSelector"),
         ingress=_rules(spec, where, "ingress", "from") if "Ingress" in types else None,
         egress=_rules(spec, where, "egress", "to") if "Egress" in types else None,
     )
@@ -219,7 +220,8 @@ def _peer(stated: Any, where: str) -> Peer:
     if "ipBlock" in peer:
         return Peer(block=_block(peer["ipBlock"], f"{where}.ipBlock"))
     pods, namespaces = (
-        _selector(peer[key], f"{where}.{key}") if key in peer else None for key in ("podSelector", "namespaceSelector")
+        read_selector(peer[key], f"{where}.{key}") if key in peer else None
+        for key in ("podSelector", "namespaceSelector")
     )
     return Peer(pods, namespaces)
 
@@ -244,7 +246,8 @@ def _port(stated: Any, where: str) -> Port:
     return Port(protocol, first, last)
 
 
-def _selector(stated: Any, where: str) -> Selector:
+def read_selector(stated: Any, where: str) -> Selector:
+    """The conditions of a selector in Kubernetes form; InputError names key and fix for what is not understood."""
     selector = _known(stated, where, "matchLabels", "matchExpressions")
     labels = (selector.get("matchLabels") or NONE).items()
     found = [Requirement(key, "In", frozenset([value])) for key, value in labels]

@@ -8,6 +8,9 @@ would read that file or ask that address.
 from __future__ import annotations
 
 import json
+import math
+import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -19,7 +22,10 @@ from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.yaml_codec import read_mappings
 
-SECONDS_MAX = 20
+PROGRAM = "/usr/local/bin/helm"  # where the platform's image has it
+PROGRAM_VARIABLE = "ROBOTKUBE_HELM"  # of the environment: another place
+LACKING = f"there is no program helm; install it, or name it in {PROGRAM_VARIABLE}"
+SECONDS_MAX = 20.0
 MEMORY_BYTES_MAX = 512 * 1024 * 1024
 OUTPUT_BYTES_MAX = 2 * 1024 * 1024
 FILES_MAX = 1_000
@@ -29,16 +35,26 @@ SCHEMA_FILE = "values.schema.json"
 SCHEMA_DEPTH_MAX = 64
 REFERENCES = ("$ref", "$dynamicRef", "$recursiveRef")
 DIALECTS = "json-schema.org/"
+REFUSED = "helm template: "  # begins what helm says of a chart that it does not render
 NOT_STARTED = 126  # the exit code of helm_sandbox.py
 SANDBOX = Path(__file__).with_name("helm_sandbox.py")
 
 
-class HelmProgram:
-    """The port ChartProgram on the program at `path`; `work` is a folder for what one rendering needs."""
+def find_helm() -> str:
+    """The program helm: the one that is named, that of the platform's image, or one on the PATH; empty without."""
+    named = os.environ.get(PROGRAM_VARIABLE)
+    candidates = [named] if named else [PROGRAM, shutil.which("helm")]
+    return next((str(Path(one).resolve()) for one in candidates if one and Path(one).is_file()), "")
 
-    def __init__(self, path: str, work: Path) -> None:
+
+class HelmProgram:
+    """The port ChartProgram on the program at `path`; `work` is a folder for what one rendering needs, which takes at
+    most `seconds`."""
+
+    def __init__(self, path: str, work: Path, seconds: float = SECONDS_MAX) -> None:
         self._path = path
         self._work = work
+        self._seconds = seconds
 
     def render(
         self, files: Mapping[str, bytes], values: Mapping[str, Any], release: str, namespace: str
@@ -54,25 +70,25 @@ class HelmProgram:
         return read_mappings(text, f"objects of {release}", OUTPUT_BYTES_MAX)
 
     def _run(self, place: Path, release: str, namespace: str) -> str:
-        bounds = [str(bound) for bound in (SECONDS_MAX, MEMORY_BYTES_MAX, OUTPUT_BYTES_MAX)]
+        bounds = [str(bound) for bound in (math.ceil(self._seconds), MEMORY_BYTES_MAX, OUTPUT_BYTES_MAX)]
         command = [sys.executable, "-I", "-S", str(SANDBOX), *bounds, self._path, "template", release]
         command += [str(place / "chart"), "--namespace", namespace, "--values", str(place / "values.json")]
         with (place / "objects").open("wb") as objects, (place / "errors").open("wb") as errors:
             try:
                 done = subprocess.run(
                     [*command, "--include-crds"], stdin=subprocess.DEVNULL, stdout=objects, stderr=errors,
-                    env={"HOME": str(place / "home"), "PATH": ""}, cwd=place, timeout=SECONDS_MAX, check=False,
+                    env={"HOME": str(place / "home"), "PATH": ""}, cwd=place, timeout=self._seconds, check=False,
                 )  # fmt: skip
             except subprocess.TimeoutExpired as error:
                 raise InputError(
-                    f"the chart was not rendered within {SECONDS_MAX} s; make its templates simpler"
+                    f"the chart was not rendered within {self._seconds:g} s; make its templates simpler"
                 ) from error
         if done.returncode == NOT_STARTED:
             raise UnavailableError(_words(place, done.returncode))
         if (place / "objects").stat().st_size >= OUTPUT_BYTES_MAX:
             raise InputError(f"the chart renders to more than {OUTPUT_BYTES_MAX} bytes; make fewer or smaller objects")
         if done.returncode != 0:
-            raise InputError(f"helm template: {_words(place, done.returncode)}")
+            raise InputError(f"{REFUSED}{_words(place, done.returncode)}")
         return (place / "objects").read_text(encoding="utf-8", errors="replace")
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from robotkube.errors import InputError
 from robotkube.foundation.documents.core.json_codec import read_json_shortened
+from robotkube.foundation.kubernetes.adapters.access_reviews import may
 from robotkube.registry.suites.adapters.namespace_objects import ApiCall, KubernetesNamespaceObjects
 from robotkube.registry.suites.core.own_namespaces import (
     KINDS,
@@ -21,7 +22,6 @@ from robotkube.registry.suites.core.own_namespaces import (
 )
 from robotkube.registry.suites.ports.suites import Object
 
-REVIEWS = "/apis/authorization.k8s.io/v1/selfsubjectaccessreviews"
 NAMESPACES = "/api/v1/namespaces"
 ACCOUNT_SECONDS_MAX = 20.0  # until a new namespace has the account `default`, and a quota its status
 POLL_SECONDS = 0.2
@@ -46,12 +46,7 @@ class KubernetesOwnNamespaces:
 
     def missing_rights(self, namespace: str) -> Sequence[str]:
         """What the account may not do of what it takes, in words."""
-        return [str(right) for right in needed_rights(namespace, self._source) if not self._may(right.attributes)]
-
-    def _may(self, attributes: Mapping[str, str]) -> bool:
-        spec = {"resourceAttributes": dict(attributes)}
-        body = {"apiVersion": "authorization.k8s.io/v1", "kind": "SelfSubjectAccessReview", "spec": spec}
-        return (self._read("POST", REVIEWS, body=body).get("status") or {}).get("allowed") is True
+        return [str(right) for right in needed_rights(namespace, self._source) if not may(self._call, right)]
 
     def remove_left_behind(self) -> Sequence[str]:
         """Remove those whose makers have ended, or whose time is over; their names."""

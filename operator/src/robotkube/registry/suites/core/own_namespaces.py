@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from robotkube.foundation.documents.core.times import time_ns, time_text
+from robotkube.foundation.kubernetes.core.access_rights import ApiRight
 from robotkube.registry.suites.core.namespace_contents import SCRATCH_VOLUME_CLAIM
 
 Object = Mapping[str, Any]
@@ -60,28 +61,6 @@ RUNS: Sequence[tuple[str, str, str]] = (
     ("", "secrets", "create delete"),
     ("", "events", "list"),
 )
-
-
-@dataclass(frozen=True)
-class ApiRight:
-    """One verb on one kind of objects; without a namespace in the whole cluster."""
-
-    verb: str
-    group: str
-    resource: str
-    namespace: str = ""
-
-    def __str__(self) -> str:
-        """As people say it."""
-        what = f"{self.resource}.{self.group}" if self.group else self.resource
-        return f"{self.verb} {what} {f'in namespace {self.namespace}' if self.namespace else 'in the cluster'}"
-
-    @property
-    def attributes(self) -> dict[str, str]:
-        """The `resourceAttributes` of an access review."""
-        resource, _, subresource = self.resource.partition("/")
-        named = {"verb": self.verb, "group": self.group, "resource": resource, "subresource": subresource}
-        return {**named, "namespace": self.namespace}
 
 
 def needed_rights(own: str, source: str) -> tuple[ApiRight, ...]:

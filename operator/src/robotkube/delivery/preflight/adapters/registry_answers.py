@@ -1,0 +1,46 @@
+"""What registries say to a question for their API, from here; no account is shown to them."""
+
+from __future__ import annotations
+
+import ssl
+from pathlib import Path
+
+import httpx
+
+from robotkube.delivery.preflight.core.findings import without_accounts
+from robotkube.delivery.preflight.core.registries import HUB, HUB_API, Answer
+from robotkube.errors import InputError
+
+SECONDS_MAX = 4.0
+
+
+class RegistryQuestions:
+    """Asks registries by HTTPS, and believes the usual authorities and that of the file `authority`."""
+
+    def __init__(self, authority: Path | None = None) -> None:
+        self._context = httpx.create_ssl_context(trust_env=False)
+        if authority is not None:
+            try:
+                self._context.load_verify_locations(cafile=authority)
+            except (OSError, ssl.SSLError) as error:
+                raise InputError(f"{authority}: no certificate of an authority as PEM ({error})") from error
+
+    def ask(self, host: str) -> Answer:
+        """What the registry at a host says."""
+        try:
+            return self._asked(f"https://{HUB_API if host == HUB else host}/v2/")
+        except httpx.TimeoutException:
+            return Answer(silent=f"timed out: no answer within {SECONDS_MAX:g} s")
+        except httpx.HTTPError as error:
+            return Answer(refused=str(error) or type(error).__name__)
+
+    def ask_service(self, address: str) -> Answer:
+        """What a registry inside of the cluster says at its Service's address and port, by HTTP."""
+        try:
+            return self._asked(f"http://{address}/v2/")
+        except (httpx.HTTPError, httpx.InvalidURL):
+            return Answer(silent="its name is the cluster's own, and its Service's address is not reached from here")
+
+    def _asked(self, url: str) -> Answer:
+        answer = httpx.get(url, verify=self._context, timeout=SECONDS_MAX, trust_env=False, follow_redirects=False)
+        return Answer(answer.status_code, without_accounts(answer.headers.get("WWW-Authenticate", "")))

@@ -1,0 +1,107 @@
+"""Nodes and the agents of the values: their labels, whether they are ready, and their control groups."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from robotkube.delivery.preflight.core.findings import Problem, Unread, Verdict, named
+from robotkube.delivery.preflight.core.renderings import Object, agents, labels_of, name_of
+from robotkube.registry.suites.core.pod_security import items, mapping
+
+AGENT, ROLE, CAPABILITY = "robotkube.io/agent", "robotkube.io/role", "robotkube.io/capability."
+WHY_NO_NODE = "nothing can run for it: tasks are refused with NoCapableNode"
+
+
+def agents_nodes(settings: Mapping[str, Any], nodes: Sequence[Object]) -> Verdict:
+    """Each agent has a Node, of its role; no Node names an agent that is not declared."""
+    declared = {str(agent.get("name")): str(agent.get("role")) for agent in agents(settings)}
+    owned = of_agents(nodes)
+    problems = [_no_node(name, role) for name, role in declared.items() if name not in owned]
+    for name, own in owned.items():
+        for node in own:
+            problems += _wrong_labels(node, name, declared)
+    says = f"{len(declared)} agents in the values, {len(owned)} named by Nodes, {len(nodes)} Nodes"
+    return Verdict(says, problems)
+
+
+def of_agents(nodes: Sequence[Object]) -> Mapping[str, Sequence[Object]]:
+    """The Nodes of each agent that a label names."""
+    owned: defaultdict[str, list[Object]] = defaultdict(list)
+    for node in nodes:
+        if labels_of(node).get(AGENT):
+            owned[labels_of(node)[AGENT]].append(node)
+    return owned
+
+
+def _no_node(name: str, role: str) -> Problem:
+    fix = f"kubectl label node NODE {AGENT}={name} {ROLE}={role}, or take it out of the values `agents`"
+    return Problem(f"no Node has the label {AGENT}={name}", f"agent {name}", WHY_NO_NODE, fix)
+
+
+def _wrong_labels(node: Object, agent: str, declared: Mapping[str, str]) -> Iterator[Problem]:
+    name, present = name_of(node), labels_of(node)
+    if agent not in declared:
+        fix = f"declare it in the values `agents`, or kubectl label node {name} {AGENT}-"
+        why = "there is no namespace, account or volume claim for it, and the manager leaves it out"
+        yield Problem(f"label {AGENT}={agent} names no agent of the values", f"Node {name}", why, fix)
+    elif present.get(ROLE, declared[agent]) != declared[agent]:
+        fix = (
+            f"kubectl label node {name} {ROLE}={declared[agent]} --overwrite, or change the agent's role in the values"
+        )
+        what = f"label {ROLE} is {present[ROLE]}, the values say {declared[agent]}"
+        yield Problem(what, f"Node {name}", "people and selectors go by it", fix)
+    for key, value in sorted(present.items()):
+        if key.startswith(CAPABILITY) and value != "true":
+            why = "a capability counts with the value true alone"
+            yield Problem(
+                f"label {key} is {value!r}", f"Node {name}", why, f"kubectl label node {name} {key}=true --overwrite"
+            )
+
+
+def agents_ready(settings: Mapping[str, Any], nodes: Sequence[Object]) -> Verdict:
+    """Every Node of a declared agent is Ready and takes pods."""
+    declared = [str(agent.get("name")) for agent in agents(settings)]
+    owned = of_agents(nodes)
+    own = [node for name in declared for node in owned.get(name, ())]
+    problems = [problem for node in own for problem in _not_ready(node)]
+    unseen = "" if own else "no Node of an agent is there (see check agents)"
+    return Verdict(f"{len(own)} Nodes of agents", problems, unseen)
+
+
+def is_ready(node: Object) -> bool:
+    """Whether its kubelet says that it is ready."""
+    conditions = items(mapping(node.get("status")).get("conditions"))
+    return any(one.get("type") == "Ready" and one.get("status") == "True" for one in conditions)
+
+
+def _not_ready(node: Object) -> Iterator[Problem]:
+    name = name_of(node)
+    if not is_ready(node):
+        conditions = items(mapping(node.get("status")).get("conditions"))
+        words = next((str(one.get("message", "")) for one in conditions if one.get("type") == "Ready"), "")
+        why = "nothing starts there, and the manager takes it for lost after managers[].nodeLostSeconds"
+        yield Problem(
+            f"it is not Ready: {words or 'no word of its kubelet'}",
+            f"Node {name}",
+            why,
+            f"kubectl describe node {name}",
+        )
+    if mapping(node.get("spec")).get("unschedulable"):
+        yield Problem(
+            "it takes no new pods", f"Node {name}", "releases of its agent do not start", f"kubectl uncordon {name}"
+        )
+
+
+def control_groups(versions: Mapping[str, int | Unread]) -> Verdict:
+    """Every Node has control groups of version 2, as its kubelet says in its metrics."""
+    old = sorted(name for name, version in versions.items() if version == 1)
+    unread = {name: version.why for name, version in versions.items() if isinstance(version, Unread)}
+    why = "kubelets of Kubernetes 1.35 and later do not start there unless failCgroupV1 is false"
+    fix = "boot it with systemd.unified_cgroup_hierarchy=1, or take a newer distribution"
+    problems = [Problem("control groups are of version 1", f"Node {name}", why, fix) for name in old]
+    words = "; ".join(sorted(set(unread.values())))
+    unseen = f"version of {named(sorted(unread))} not read: {words}" if unread else ""
+    unseen = unseen if versions else "there is no Node"
+    return Verdict(f"{len(versions) - len(unread)} of {len(versions)} Nodes say their version", problems, unseen)

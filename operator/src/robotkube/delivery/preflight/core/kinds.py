@@ -1,0 +1,69 @@
+"""Version and kinds of the API server, compared with what the chart asks for and renders."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from robotkube.delivery.preflight.core.findings import Problem, Verdict
+from robotkube.delivery.preflight.core.renderings import Rendering, enabled, group_of
+from robotkube.registry.suites.core.pod_security import mapping
+
+CONSTRAINT = re.compile(r"\s*>=\s*v?([0-9]+)\.([0-9]+)(\.[0-9]+)?(-[0-9A-Za-z.]+)?\s*")
+VERSION = re.compile(r"v?([0-9]+)\.([0-9]+)")
+ADMISSION_API = "admissionregistration.k8s.io/v1"
+ADMISSION_KIND = "ValidatingAdmissionPolicy"
+BROUGHT = {
+    "argoproj.io": "install Argo CD before the platform",
+    "cert-manager.io": "install cert-manager before the platform, or set tls.mode: made",
+}
+Served = Mapping[str, frozenset[str]]
+"""The kinds that are served, by `<group>/<version>`; empty for a version that is not."""
+
+
+def kubernetes_version(chart: Mapping[str, Any], version: str) -> Verdict:
+    """The API server's version meets `kubeVersion` of the chart."""
+    wanted = str(chart.get("kubeVersion", ""))
+    least, present = CONSTRAINT.fullmatch(wanted), VERSION.match(version)
+    if not least or not present:
+        return Verdict("", unseen=f"{version} and the chart's kubeVersion {wanted!r} cannot be compared")
+    says = f"{version}; the chart asks for {wanted}"
+    if (int(present[1]), int(present[2])) >= (int(least[1]), int(least[2])):
+        return Verdict(says)
+    why = "Helm refuses the chart there, and kinds that it makes are missing"
+    problem = Problem(f"Kubernetes {version} is older than {wanted}", "API server", why, "upgrade the control plane")
+    return Verdict(says, [problem])
+
+
+def api_kinds(rendering: Rendering, settings: Mapping[str, Any], served: Served) -> Verdict:
+    """Every kind that the chart renders and does not define itself is served."""
+    needed = {(str(item.get("apiVersion")), str(item.get("kind"))) for item in rendering.objects}
+    needed -= {pair for pair in needed if (pair[0].partition("/")[0], pair[1]) in set(_defined(rendering))}
+    policies = ADMISSION_KIND in served.get(ADMISSION_API, frozenset())
+    if enabled(settings, "admission"):
+        needed.add((ADMISSION_API, ADMISSION_KIND))
+    missing = sorted(pair for pair in needed if pair[1] not in served.get(pair[0], frozenset()))
+    words = "served" if policies else "not served, which admission.enabled: true would need"
+    says = f"{len(needed) - len(missing)} of {len(needed)} kinds are served; {ADMISSION_KIND} v1 is {words}"
+    return Verdict(says, [_missing(version, kind) for version, kind in missing])
+
+
+def _missing(version: str, kind: str) -> Problem:
+    own = "admission.enabled: false, or a Kubernetes of 1.30 or later" if kind == ADMISSION_KIND else ""
+    fix = own or BROUGHT.get(version.partition("/")[0], f"use a cluster that serves {version}")
+    return Problem(
+        f"kind {kind} of {version} is not served", "API server", "Helm refuses objects of unknown kinds", fix
+    )
+
+
+def _defined(rendering: Rendering) -> Iterator[tuple[str, str]]:
+    for item in rendering.of_kind("CustomResourceDefinition"):
+        spec = mapping(item.get("spec"))
+        yield str(spec.get("group")), str(mapping(spec.get("names")).get("kind"))
+
+
+def versions(rendering: Rendering) -> tuple[str, ...]:
+    """The `<group>/<version>` that have to be asked for what they serve."""
+    stated = {str(item.get("apiVersion")) for item in rendering.objects if group_of(item)}
+    return tuple(sorted({*stated, "v1", ADMISSION_API}))

@@ -1,0 +1,98 @@
+"""The release of the chart that is there, and the way from its version to this chart's (UPGRADING.md)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from robotkube.delivery.preflight.core.findings import Problem, Verdict
+from robotkube.delivery.preflight.core.renderings import Object, Rendering, name_of
+from robotkube.registry.suites.core.pod_security import items, mapping
+
+NUMBERS = re.compile(r"([0-9]+)\.([0-9]+)\.([0-9]+)")
+PENDING = ("pending-install", "pending-upgrade", "pending-rollback", "uninstalling")
+ENCRYPTED, PLAIN = 8883, 1883
+GATE, BROKER = "gate", "broker"
+
+
+@dataclass(frozen=True)
+class Release:
+    """A revision of the release, the last one: version of its chart, its state in Helm's words, its values."""
+
+    version: str
+    status: str
+    revision: int
+    values: Mapping[str, Any] = field(default_factory=dict, repr=False)
+
+
+@dataclass(frozen=True)
+class Standing:
+    """The Deployments and Services of the release's namespace."""
+
+    deployments: Sequence[Object]
+    services: Sequence[Object]
+
+
+def release(chart: Mapping[str, Any], rendering: Rendering, present: Release | None, standing: Standing) -> Verdict:
+    """The release is in a state from which Helm goes on, and nothing of its version stands in the way of this one."""
+    own = str(chart.get("version"))
+    if present is None:
+        return Verdict(f"no release {rendering.release} in namespace {rendering.namespace}: an installation of {own}")
+    problems = [*_state(present, rendering), *_way(present.version, own), *_demands(rendering, standing)]
+    way = f"version {own} over {present.version}" if own != present.version else f"version {own}, as installed"
+    says = f"revision {present.revision} of {rendering.release} is {present.status}; {way}"
+    return Verdict(f"{says}; UPGRADING.md says what no program can see", problems)
+
+
+def _state(present: Release, rendering: Rendering) -> Iterator[Problem]:
+    where = f"release {rendering.namespace}/{rendering.release}, revision {present.revision}"
+    history = f"helm history {rendering.release} --namespace {rendering.namespace}"
+    if present.status in PENDING:
+        why = "Helm refuses another operation while one is under way, or was broken off"
+        back = f"helm rollback {rendering.release} --namespace {rendering.namespace}"
+        fix = f"{history}; wait for it, or, when nobody runs it any more: {back}"
+        yield Problem(f"it is {present.status}", where, why, fix)
+    elif present.status != "deployed":
+        why = "what it should have changed is there in part only"
+        yield Problem(f"it is {present.status}", where, why, f"{history} says why; then helm upgrade again")
+
+
+def _way(installed: str, own: str) -> Iterator[Problem]:
+    before, after = NUMBERS.match(installed), NUMBERS.match(own)
+    if before and after and tuple(map(int, after.groups())) < tuple(map(int, before.groups())):
+        why = "only the way forward is tested, and older processes refuse settings of newer ones"
+        fix = f"give a chart of {installed} or later with --chart; UPGRADING.md, Back"
+        yield Problem(f"version {installed} is installed, this chart is {own}", "Chart.yaml, version", why, fix)
+
+
+def _demands(rendering: Rendering, standing: Standing) -> Iterator[Problem]:
+    """What UPGRADING.md asks for before, as far as objects of the cluster show that it was not done."""
+    yield from _former_gate(rendering, standing)
+    yield from _broker_in_clear_text(rendering, standing)
+
+
+def _former_gate(rendering: Rendering, standing: Standing) -> Iterator[Problem]:
+    own = rendering.namespace
+    moved = any(one.name == GATE and one.namespace != own for one in rendering.workloads)
+    runs = any(name_of(one) == GATE and mapping(one.get("spec")).get("replicas", 1) for one in standing.deployments)
+    if moved and runs:
+        why = "this chart's gate stands in a namespace of its own, and for the time of the upgrade there would be two"
+        fix = f"kubectl --namespace {own} scale deployment gate --replicas=0 (UPGRADING.md, From single versions)"
+        yield Problem("the gate of an earlier version runs", f"Deployment {own}/{GATE}", why, fix)
+
+
+def _broker_in_clear_text(rendering: Rendering, standing: Standing) -> Iterator[Problem]:
+    now = [_ports(one) for one in standing.services if name_of(one) == BROKER]
+    then = [_ports(one) for one in rendering.of_kind("Service") if name_of(one) == BROKER]
+    if now and then and ENCRYPTED not in now[0] and ENCRYPTED in then[0] and PLAIN not in then[0]:
+        why = "robots that run speak clear text, and would lose the broker with the upgrade"
+        steps = "upgrade with tls.mode: 'off', publish the charts anew, then with tls.plain: true"
+        fix = f"{steps} (UPGRADING.md, Connections to the broker are encrypted)"
+        what = "the broker that runs takes clear text alone, and this chart's takes none"
+        yield Problem(what, f"Service {rendering.namespace}/{BROKER}", why, fix)
+
+
+def _ports(service: Object) -> set[Any]:
+    return {port.get("port") for port in items(mapping(service.get("spec")).get("ports"))}

@@ -1,0 +1,132 @@
+"""The facts of a preflight, each with what reads it: the cluster, the chart as Helm renders it, registries."""
+
+from __future__ import annotations
+
+import functools
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from robotkube.delivery.preflight.adapters.chart_sources import ChartSource
+from robotkube.delivery.preflight.adapters.cluster_facts import ClusterFacts
+from robotkube.delivery.preflight.adapters.registry_answers import RegistryQuestions
+from robotkube.delivery.preflight.core import argocd, kinds, owners, rights
+from robotkube.delivery.preflight.core.registries import Answer, hosts, service_of
+from robotkube.delivery.preflight.core.renderings import Rendering
+from robotkube.delivery.preflight.core.values import Judgement, completed, without_value
+from robotkube.delivery.preflight.loops.reading import Reading, at_once
+from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.documents.adapters.json_schema import violations
+from robotkube.registry.charts.adapters.helm import LACKING, REFUSED, HelmProgram
+
+SECONDS_MAX = 8.0
+RENDERING_SECONDS_MAX = 5.0
+Reader = Callable[[Reading], Any]
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """What helm made of the chart: its objects, or why it refuses."""
+
+    objects: Sequence[Mapping[str, Any]] = ()
+    refusal: str = ""
+
+
+@dataclass(frozen=True)
+class Preflight:
+    """What is to be looked at: `chart` as `release` in `namespace` of a cluster, with the values `given`, or None for
+    those of the release that is there. `helm` is the program's path; empty: there is none."""
+
+    cluster: ClusterFacts
+    registries: RegistryQuestions
+    chart: ChartSource
+    given: Mapping[str, Any] | None
+    release: str
+    namespace: str
+    helm: str
+
+    def facts(self) -> dict[str, Any]:
+        """All facts, read within SECONDS_MAX."""
+        return Reading({**self._of_chart(), **self._of_cluster()}, SECONDS_MAX).facts()
+
+    def _of_chart(self) -> dict[str, Reader]:
+        return {
+            "chart": lambda _: self.chart.metadata,
+            "given": self._given,
+            "settings": lambda facts: completed(self.chart.defaults, facts.needed("given")),
+            "rendered": self._rendered,
+            "rendering": self._rendering,
+            "judgement": self._judgement,
+            "registries": self._registries,
+        }
+
+    def _of_cluster(self) -> dict[str, Reader]:
+        cluster = self.cluster
+        return {
+            "version": lambda _: cluster.version(),
+            "release": lambda _: cluster.release(self.release, self.namespace),
+            "installed": lambda facts: facts.needed("release") is not None,
+            "namespace": lambda _: cluster.in_namespace(self.namespace),
+            "namespaces": lambda _: cluster.namespaces(),
+            "nodes": lambda _: cluster.nodes(),
+            "pods": lambda _: cluster.pods(),
+            "storage": lambda _: cluster.storage(),
+            "judges": lambda _: cluster.judges(),
+            "control_groups": lambda facts: cluster.control_groups(facts.needed("nodes")),
+            "argocd": lambda facts: cluster.argocd(argocd.namespace_in(facts.needed("settings"))),
+            "served": lambda facts: cluster.served(kinds.versions(facts.needed("rendering"))),
+            "standing": lambda facts: cluster.standing(owners.owned_objects(facts.needed("rendering"))),
+            "rights": lambda facts: cluster.rights(rights.needed_rights(facts.needed("rendering"))),
+        }
+
+    def _given(self, facts: Reading) -> Mapping[str, Any]:
+        if self.given is not None:
+            return self.given
+        present = facts.needed("release")
+        return present.values if present is not None else {}
+
+    def _rendered(self, facts: Reading) -> Rendered:
+        given = facts.needed("given")
+        if not self.helm:
+            raise UnavailableError(LACKING)
+        seconds = min(RENDERING_SECONDS_MAX, facts.left())
+        with tempfile.TemporaryDirectory(prefix="robotkube-preflight-") as work:
+            program = HelmProgram(self.helm, Path(work), seconds)
+            try:
+                return Rendered(program.render(self.chart.files, given, self.release, self.namespace))
+            except InputError as error:
+                if not str(error).startswith(REFUSED):
+                    raise
+                return Rendered(refusal=str(error).removeprefix(REFUSED))
+
+    def _rendering(self, facts: Reading) -> Rendering:
+        rendered = facts.needed("rendered")
+        if rendered.refusal:
+            raise UnavailableError("absent: the chart refuses the values, so nothing is rendered (see check values)")
+        return Rendering(rendered.objects, self.release, self.namespace)
+
+    def _judgement(self, facts: Reading) -> Judgement:
+        settings = facts.needed("settings")
+        found = [
+            (path, without_value(words, settings, path)) for path, words in violations(self.chart.schema, settings)
+        ]
+        source = "--values" if self.given is not None else "the release that is there"
+        if self.given is None and facts.needed("release") is None:
+            source = "the chart's defaults, since no --values are given and no release is there"
+        return Judgement(found, "" if found else facts.needed("rendered").refusal, source)
+
+    def _registries(self, facts: Reading) -> Mapping[str, Answer]:
+        named = hosts(facts.needed("rendering").objects)
+        return dict(zip(named, at_once([functools.partial(self._registry, host) for host in named]), strict=True))
+
+    def _registry(self, host: str) -> Answer:
+        service = service_of(host)
+        if service is None:
+            return self.registries.ask(host)
+        found = self.cluster.service(*service)
+        if found is None:
+            return Answer(silent="absent: it is the platform's own, which the chart makes")
+        port = host.partition(":")[2] or "80"
+        return self.registries.ask_service(f"{found['spec'].get('clusterIP', '')}:{port}")
