@@ -114,13 +114,16 @@ def test_a_revision_that_is_none(data: Any) -> None:
 
 
 @contextmanager
-def registry(status: int, challenge: str, context: ssl.SSLContext | None = None) -> Iterator[str]:
+def registry(
+    status: int, challenge: str, context: ssl.SSLContext | None = None, api: str = "registry/2.0"
+) -> Iterator[str]:
     """The host and port of a server that answers /v2/ so."""
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             self.send_response(status if self.path == "/v2/" else 500)
             self.send_header("WWW-Authenticate", challenge)
+            self.send_header("Docker-Distribution-Api-Version", api)
             self.send_header("Content-Length", "0")
             self.end_headers()
 
@@ -154,6 +157,8 @@ def test_a_registry_inside_of_the_cluster_is_asked_in_clear_text() -> None:
         assert RegistryQuestions().ask_service(host).status == 401
         assert RegistryQuestions().ask(host).refused, "others by HTTPS alone"
     assert "is not reached from here" in RegistryQuestions().ask_service(host).silent
+    with registry(403, "", api="") as stranger:
+        assert "is not reached from here" in RegistryQuestions().ask_service(stranger).silent, "another's address"
     assert "Connection refused" in RegistryQuestions().ask(host).refused
 
 

@@ -12,6 +12,8 @@ from robotkube.delivery.preflight.core.registries import HUB, HUB_API, Answer
 from robotkube.errors import InputError
 
 SECONDS_MAX = 4.0
+API_HEADER, API = "Docker-Distribution-Api-Version", "registry/2.0"
+NOT_REACHED = Answer(silent="its name is the cluster's own, and its Service's address is not reached from here")
 
 
 class RegistryQuestions:
@@ -28,19 +30,24 @@ class RegistryQuestions:
     def ask(self, host: str) -> Answer:
         """What the registry at a host says."""
         try:
-            return self._asked(f"https://{HUB_API if host == HUB else host}/v2/")
+            return _read(self._get(f"https://{HUB_API if host == HUB else host}/v2/"))
         except httpx.TimeoutException:
             return Answer(silent=f"timed out: no answer within {SECONDS_MAX:g} s")
         except httpx.HTTPError as error:
             return Answer(refused=str(error) or type(error).__name__)
 
     def ask_service(self, address: str) -> Answer:
-        """What a registry inside of the cluster says at its Service's address and port, by HTTP."""
+        """What a registry inside of the cluster says at its Service's address and port, by HTTP. Outside of the cluster
+        the address is another's, or nobody's, so what does not call itself a registry says nothing."""
         try:
-            return self._asked(f"http://{address}/v2/")
+            answer = self._get(f"http://{address}/v2/")
         except (httpx.HTTPError, httpx.InvalidURL):
-            return Answer(silent="its name is the cluster's own, and its Service's address is not reached from here")
+            return NOT_REACHED
+        return _read(answer) if answer.headers.get(API_HEADER) == API else NOT_REACHED
 
-    def _asked(self, url: str) -> Answer:
-        answer = httpx.get(url, verify=self._context, timeout=SECONDS_MAX, trust_env=False, follow_redirects=False)
-        return Answer(answer.status_code, without_accounts(answer.headers.get("WWW-Authenticate", "")))
+    def _get(self, url: str) -> httpx.Response:
+        return httpx.get(url, verify=self._context, timeout=SECONDS_MAX, trust_env=False, follow_redirects=False)
+
+
+def _read(answer: httpx.Response) -> Answer:
+    return Answer(answer.status_code, without_accounts(answer.headers.get("WWW-Authenticate", "")))
