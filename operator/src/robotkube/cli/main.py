@@ -107,7 +107,7 @@ COMMANDS = (
         "preflight",
         "",
         "whether a cluster can take the platform's chart, or go on with it; everything is read, nothing changed",
-        "preflight",
+        "cluster.preflight",
         "check_cluster",
         "asking",
     ),

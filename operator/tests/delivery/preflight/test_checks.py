@@ -8,10 +8,18 @@ from typing import Any
 import pytest
 
 from robotkube.delivery.preflight.core.checks import CHECKS, findings
-from robotkube.delivery.preflight.core.findings import FAILED, NOT_CHECKED, OK, Finding, Problem, Unread, gathered
-from robotkube.delivery.preflight.core.registries import Answer, host_of, service_of
-from robotkube.delivery.preflight.core.releases import Release, Standing
-from robotkube.delivery.preflight.core.renderings import Rendering
+from robotkube.delivery.preflight.core.findings import (
+    FAILED,
+    NOT_CHECKED,
+    OK,
+    ClusterFinding,
+    Problem,
+    Unread,
+    gathered,
+)
+from robotkube.delivery.preflight.core.registries import RegistryAnswer, host_of, service_of
+from robotkube.delivery.preflight.core.releases import HelmRevision, PresentObjects
+from robotkube.delivery.preflight.core.renderings import RenderedChart
 from robotkube.delivery.preflight.core.storage import Storage
 from robotkube.delivery.preflight.core.values import Judgement
 from tests.stages.delivery.preflight_facts import (
@@ -30,20 +38,20 @@ NODES = [node(name, role) for name, role in AGENTS.items()]
 DISKS = {"metadata": {"name": "disks"}, "provisioner": "example.com/disks"}
 
 
-def said(found: Finding) -> str:
+def said(found: ClusterFinding) -> str:
     """Everything that a failed check says of its problems."""
     assert found.result == FAILED, found
     assert all(one.what and one.where and one.why and one.fix for one in found.problems), found
     return "\n".join(f"{one.where}: {one.what} -> {one.fix}" for one in found.problems)
 
 
-def changed(made: Rendering, kind: str, name: str) -> dict[str, Any]:
+def changed(made: RenderedChart, kind: str, name: str) -> dict[str, Any]:
     """An object of the rendering, to be changed in its place."""
     [item] = [one for one in made.of_kind(kind) if one["metadata"]["name"] == name]
     return dict(item) | {"spec": item["spec"]}
 
 
-def pod_of(made: Rendering, kind: str, name: str) -> dict[str, Any]:
+def pod_of(made: RenderedChart, kind: str, name: str) -> dict[str, Any]:
     """The pod of a workload, to be changed in its place."""
     return changed(made, kind, name)["spec"]["template"]["spec"]
 
@@ -130,32 +138,32 @@ class TestOwners:
 
 
 class TestRelease:
-    DEPLOYED = Release("0.1.0", "deployed", 3)
+    DEPLOYED = HelmRevision("0.1.0", "deployed", 3)
 
     def test_the_same_version_over_itself(self) -> None:
         found = finding("release", release=self.DEPLOYED)
         assert (found.result, "revision 3 of robotkube is deployed" in found.says) == (OK, True)
 
     def test_an_operation_that_was_broken_off(self) -> None:
-        release = Release("0.1.0", "pending-upgrade", 4)
+        release = HelmRevision("0.1.0", "pending-upgrade", 4)
         assert "helm rollback robotkube" in said(finding("release", release=release))
-        assert "it is failed" in said(finding("release", release=Release("0.1.0", "failed", 4)))
+        assert "it is failed" in said(finding("release", release=HelmRevision("0.1.0", "failed", 4)))
 
     def test_a_newer_one_that_is_installed(self) -> None:
-        assert "version 0.10.0 is installed" in said(finding("release", release=Release("0.10.0", "deployed", 1)))
+        assert "version 0.10.0 is installed" in said(finding("release", release=HelmRevision("0.10.0", "deployed", 1)))
 
     def test_the_gate_of_an_earlier_version(self) -> None:
-        def runs(replicas: int) -> Finding:
+        def runs(replicas: int) -> ClusterFinding:
             gate = {"metadata": {"name": "gate"}, "spec": {"replicas": replicas}}
-            return finding("release", release=self.DEPLOYED, namespace=Standing([gate], ()))
+            return finding("release", release=self.DEPLOYED, namespace=PresentObjects([gate], ()))
 
         assert "scale deployment gate --replicas=0" in said(runs(1))
         assert runs(0).result == OK
 
     def test_robots_that_speak_clear_text(self) -> None:
-        def broker(*ports: int) -> Finding:
+        def broker(*ports: int) -> ClusterFinding:
             service = {"metadata": {"name": "broker"}, "spec": {"ports": [{"port": port} for port in ports]}}
-            return finding("release", release=self.DEPLOYED, namespace=Standing((), [service]))
+            return finding("release", release=self.DEPLOYED, namespace=PresentObjects((), [service]))
 
         assert "tls.mode: 'off'" in said(broker(1883))
         assert broker(8883).result == OK
@@ -225,7 +233,7 @@ class TestPodSecurity:
 
 
 class TestAdmission:
-    def found(self, kind: str, name: str = "mesh", **changes: Any) -> Finding:
+    def found(self, kind: str, name: str = "mesh", **changes: Any) -> ClusterFinding:
         """With one webhook or policy of somebody else."""
         rules = {"rules": [RULE], **changes}
         item = {"metadata": {"name": name}, "webhooks": [rules]}
@@ -356,16 +364,16 @@ class TestRegistries:
     @pytest.mark.parametrize(
         ("answer", "result"),
         [
-            (Answer(200), OK),
-            (Answer(401, 'Basic realm="registry"'), OK),
-            (Answer(401, 'Bearer realm="https://auth.example/token?account=me",service="r"'), OK),
-            (Answer(401, ""), FAILED),
-            (Answer(404), FAILED),
-            (Answer(refused="certificate verify failed"), FAILED),
-            (Answer(silent="timed out: no answer within 4 s"), NOT_CHECKED),
+            (RegistryAnswer(200), OK),
+            (RegistryAnswer(401, 'Basic realm="registry"'), OK),
+            (RegistryAnswer(401, 'Bearer realm="https://auth.example/token?account=me",service="r"'), OK),
+            (RegistryAnswer(401, ""), FAILED),
+            (RegistryAnswer(404), FAILED),
+            (RegistryAnswer(refused="certificate verify failed"), FAILED),
+            (RegistryAnswer(silent="timed out: no answer within 4 s"), NOT_CHECKED),
         ],
     )
-    def test_what_it_answers(self, answer: Answer, result: str) -> None:
+    def test_what_it_answers(self, answer: RegistryAnswer, result: str) -> None:
         found = finding("registries", registries={"registry.example": answer})
         assert found.result == result
         assert "account=me" not in found.says

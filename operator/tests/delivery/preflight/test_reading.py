@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from robotkube.delivery.preflight.core.findings import Unread
-from robotkube.delivery.preflight.loops.reading import AT_ONCE, Reading, at_once
+from robotkube.delivery.preflight.loops.reading import AT_ONCE, FactReading, at_once
 from robotkube.errors import InputError
 
 
@@ -22,17 +22,17 @@ def test_facts_that_rest_on_others() -> None:
         "one": lambda _: 1,
         "two": lambda facts: facts.needed("one") + 1,
     }
-    assert Reading(readers, 10).facts() == {"sum": 3, "one": 1, "two": 2}
+    assert FactReading(readers, 10).facts() == {"sum": 3, "one": 1, "two": 2}
 
 
 def test_why_one_was_not_read_goes_on_to_what_rests_on_it() -> None:
     readers = {"nodes": lambda _: refuse("403 nodes is forbidden"), "groups": lambda facts: facts.needed("nodes")}
-    assert Reading(readers, 10).facts() == dict.fromkeys(readers, Unread("403 nodes is forbidden"))
+    assert FactReading(readers, 10).facts() == dict.fromkeys(readers, Unread("403 nodes is forbidden"))
 
 
 def test_one_that_hangs_is_given_up_at_the_deadline() -> None:
     going_on = threading.Event()
-    reading = Reading({"slow": lambda _: going_on.wait(10), "quick": lambda _: 1}, 0.2)
+    reading = FactReading({"slow": lambda _: going_on.wait(10), "quick": lambda _: 1}, 0.2)
     facts = reading.facts()
     going_on.set()
     assert facts == {"slow": Unread("timed out: slow was not read within 0.2 s"), "quick": 1}
@@ -41,7 +41,7 @@ def test_one_that_hangs_is_given_up_at_the_deadline() -> None:
 
 def test_a_mistake_of_the_program_is_not_hidden() -> None:
     with pytest.raises(ZeroDivisionError):
-        Reading({"broken": lambda _: 1 // 0}, 10).facts()
+        FactReading({"broken": lambda _: 1 // 0}, 10).facts()
 
 
 def test_calls_keep_their_order_and_their_first_error() -> None:

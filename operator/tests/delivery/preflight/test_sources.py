@@ -20,7 +20,7 @@ import pytest
 from robotkube.delivery.preflight.adapters.chart_sources import read_chart, read_values
 from robotkube.delivery.preflight.adapters.helm_releases import last_revision
 from robotkube.delivery.preflight.adapters.registry_answers import RegistryQuestions
-from robotkube.delivery.preflight.core.releases import Release
+from robotkube.delivery.preflight.core.releases import HelmRevision
 from robotkube.delivery.preflight.core.values import completed, merged, without_value
 from robotkube.errors import InputError
 from robotkube.foundation.certificates.adapters.issuing import issue, new_authority
@@ -102,7 +102,7 @@ def revision(number: int, status: str, **more: Any) -> dict[str, Any]:
 
 def test_the_last_revision_of_a_release() -> None:
     found = last_revision([revision(9, "superseded"), revision(10, "deployed")])
-    assert found == Release("0.1.0", "deployed", 10, {"secrets": {"seed": "hunter2"}})
+    assert found == HelmRevision("0.1.0", "deployed", 10, {"secrets": {"seed": "hunter2"}})
     assert "hunter2" not in repr(found)
     assert last_revision([]) is None
 

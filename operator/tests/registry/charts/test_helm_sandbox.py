@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 
 from robotkube.errors import InputError, UnavailableError
-from robotkube.registry.charts.adapters import helm as helm_program
 from robotkube.registry.charts.adapters.chart_folders import pack
 from robotkube.registry.charts.adapters.helm import SANDBOX, HelmProgram
 from robotkube.registry.charts.core.unpacking import unpack_chart
@@ -98,12 +97,9 @@ def test_paths_that_lead_elsewhere_are_refused(helm: HelmProgram, path: str) -> 
         ("a: 1\na: 2\n", "stands twice"),
     ],
 )
-def test_templates_without_measure(
-    helm: HelmProgram, template: str, words: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(helm_program, "SECONDS_MAX", 5)
+def test_templates_without_measure(template: str, words: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=words):
-        helm.render(chart(template), {}, "one", "suite")
+        HelmProgram(program("helm"), tmp_path, seconds=5).render(chart(template), {}, "one", "suite")
 
 
 def test_too_many_files(helm: HelmProgram) -> None:

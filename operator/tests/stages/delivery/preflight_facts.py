@@ -13,11 +13,11 @@ import yaml
 from robotkube.delivery.preflight.core.admission import KINDS
 from robotkube.delivery.preflight.core.argocd import DEFINITIONS, PARTS, ArgoCd
 from robotkube.delivery.preflight.core.checks import CHECKS
-from robotkube.delivery.preflight.core.findings import Finding
+from robotkube.delivery.preflight.core.findings import ClusterFinding
 from robotkube.delivery.preflight.core.owners import owned_objects
-from robotkube.delivery.preflight.core.registries import Answer, hosts
-from robotkube.delivery.preflight.core.releases import Standing
-from robotkube.delivery.preflight.core.renderings import Rendering, name_of
+from robotkube.delivery.preflight.core.registries import RegistryAnswer, hosts
+from robotkube.delivery.preflight.core.releases import PresentObjects
+from robotkube.delivery.preflight.core.renderings import RenderedChart, name_of
 from robotkube.delivery.preflight.core.rights import Reviewed, needed_rights
 from robotkube.delivery.preflight.core.storage import Storage
 from robotkube.delivery.preflight.core.values import Judgement
@@ -37,14 +37,14 @@ def _objects(golden: str) -> tuple[Object, ...]:
     return tuple(document for document in yaml.load_all(text, Loader=LOADER) if document)
 
 
-def rendering(golden: str = "official") -> Rendering:
+def rendering(golden: str = "official") -> RenderedChart:
     """A golden rendering of the chart, for a test to change."""
-    return Rendering(copy.deepcopy(list(_objects(golden))), "robotkube", "robotkube")
+    return RenderedChart(copy.deepcopy(list(_objects(golden))), "robotkube", "robotkube")
 
 
 @functools.cache
-def _untouched() -> Rendering:
-    return Rendering(_objects("official"), "robotkube", "robotkube")
+def _untouched() -> RenderedChart:
+    return RenderedChart(_objects("official"), "robotkube", "robotkube")
 
 
 @functools.cache
@@ -77,7 +77,7 @@ def part_of_argo_cd(part: str, image: str = "quay.io/argoproj/argocd:v3.5.7", re
 def facts(**changed: Any) -> dict[str, Any]:
     """All facts, some of them changed."""
     chart = yaml.safe_load((CHARTS / "robotkube/Chart.yaml").read_text(encoding="utf-8"))
-    made: Rendering = changed.get("rendering") or _untouched()
+    made: RenderedChart = changed.get("rendering") or _untouched()
     agents = [{"name": name, "role": role} for name, role in AGENTS.items()]
     good = {
         "chart": chart,
@@ -88,7 +88,7 @@ def facts(**changed: Any) -> dict[str, Any]:
         "served": dict(_served(made)),
         "release": None,
         "installed": False,
-        "namespace": Standing((), ()),
+        "namespace": PresentObjects((), ()),
         "namespaces": {"robotkube": {"pod-security.kubernetes.io/enforce": "restricted"}, "argocd": {}},
         "nodes": [node(name, role) for name, role in AGENTS.items()],
         "pods": [],
@@ -98,12 +98,12 @@ def facts(**changed: Any) -> dict[str, Any]:
         "argocd": argo_cd(),
         "standing": {(str(item["kind"]), name_of(item)): None for item in owned_objects(made)},
         "rights": _reviewed(),
-        "registries": {host: Answer(200) for host in hosts(made.objects)},
+        "registries": {host: RegistryAnswer(200) for host in hosts(made.objects)},
     }
     return good | changed
 
 
-def _served(made: Rendering) -> Iterator[tuple[str, frozenset[str]]]:
+def _served(made: RenderedChart) -> Iterator[tuple[str, frozenset[str]]]:
     """What a cluster with Argo CD serves."""
     versions = {str(item["apiVersion"]) for item in made.objects}
     for version in versions:
@@ -111,6 +111,6 @@ def _served(made: Rendering) -> Iterator[tuple[str, frozenset[str]]]:
     yield "admissionregistration.k8s.io/v1", frozenset({"ValidatingAdmissionPolicy"})
 
 
-def finding(check: str, **changed: Any) -> Finding:
+def finding(check: str, **changed: Any) -> ClusterFinding:
     """What a check finds when these facts are changed."""
     return next(one for one in CHECKS if one.name == check).finding(facts(**changed))

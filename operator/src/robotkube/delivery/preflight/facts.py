@@ -5,29 +5,29 @@ from __future__ import annotations
 import functools
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from robotkube.delivery.preflight.adapters.chart_sources import ChartSource
+from robotkube.delivery.preflight.adapters.chart_sources import PlatformChart
 from robotkube.delivery.preflight.adapters.cluster_facts import ClusterFacts
 from robotkube.delivery.preflight.adapters.registry_answers import RegistryQuestions
 from robotkube.delivery.preflight.core import argocd, kinds, owners, rights
-from robotkube.delivery.preflight.core.registries import Answer, hosts, service_of
-from robotkube.delivery.preflight.core.renderings import Rendering
+from robotkube.delivery.preflight.core.registries import RegistryAnswer, hosts, service_of
+from robotkube.delivery.preflight.core.renderings import RenderedChart
 from robotkube.delivery.preflight.core.values import Judgement, completed, without_value
-from robotkube.delivery.preflight.loops.reading import Reading, at_once
+from robotkube.delivery.preflight.loops.reading import FactReading, at_once
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.documents.adapters.json_schema import violations
 from robotkube.registry.charts.adapters.helm import LACKING, REFUSED, HelmProgram
 
 SECONDS_MAX = 8.0
 RENDERING_SECONDS_MAX = 5.0
-Reader = Callable[[Reading], Any]
+Reader = Callable[[FactReading], Any]
 
 
 @dataclass(frozen=True)
-class Rendered:
+class HelmAnswer:
     """What helm made of the chart: its objects, or why it refuses."""
 
     objects: Sequence[Mapping[str, Any]] = ()
@@ -41,15 +41,15 @@ class Preflight:
 
     cluster: ClusterFacts
     registries: RegistryQuestions
-    chart: ChartSource
-    given: Mapping[str, Any] | None
+    chart: PlatformChart = field(repr=False)
+    given: Mapping[str, Any] | None = field(repr=False)
     release: str
     namespace: str
     helm: str
 
     def facts(self) -> dict[str, Any]:
         """All facts, read within SECONDS_MAX."""
-        return Reading({**self._of_chart(), **self._of_cluster()}, SECONDS_MAX).facts()
+        return FactReading({**self._of_chart(), **self._of_cluster()}, SECONDS_MAX).facts()
 
     def _of_chart(self) -> dict[str, Reader]:
         return {
@@ -81,13 +81,13 @@ class Preflight:
             "rights": lambda facts: cluster.rights(rights.needed_rights(facts.needed("rendering"))),
         }
 
-    def _given(self, facts: Reading) -> Mapping[str, Any]:
+    def _given(self, facts: FactReading) -> Mapping[str, Any]:
         if self.given is not None:
             return self.given
         present = facts.needed("release")
         return present.values if present is not None else {}
 
-    def _rendered(self, facts: Reading) -> Rendered:
+    def _rendered(self, facts: FactReading) -> HelmAnswer:
         given = facts.needed("given")
         if not self.helm:
             raise UnavailableError(LACKING)
@@ -95,19 +95,19 @@ class Preflight:
         with tempfile.TemporaryDirectory(prefix="robotkube-preflight-") as work:
             program = HelmProgram(self.helm, Path(work), seconds)
             try:
-                return Rendered(program.render(self.chart.files, given, self.release, self.namespace))
+                return HelmAnswer(program.render(self.chart.files, given, self.release, self.namespace))
             except InputError as error:
                 if not str(error).startswith(REFUSED):
                     raise
-                return Rendered(refusal=str(error).removeprefix(REFUSED))
+                return HelmAnswer(refusal=str(error).removeprefix(REFUSED))
 
-    def _rendering(self, facts: Reading) -> Rendering:
+    def _rendering(self, facts: FactReading) -> RenderedChart:
         rendered = facts.needed("rendered")
         if rendered.refusal:
             raise UnavailableError("absent: the chart refuses the values, so nothing is rendered (see check values)")
-        return Rendering(rendered.objects, self.release, self.namespace)
+        return RenderedChart(rendered.objects, self.release, self.namespace)
 
-    def _judgement(self, facts: Reading) -> Judgement:
+    def _judgement(self, facts: FactReading) -> Judgement:
         settings = facts.needed("settings")
         found = [
             (path, without_value(words, settings, path)) for path, words in violations(self.chart.schema, settings)
@@ -117,16 +117,16 @@ class Preflight:
             source = "the chart's defaults, since no --values are given and no release is there"
         return Judgement(found, "" if found else facts.needed("rendered").refusal, source)
 
-    def _registries(self, facts: Reading) -> Mapping[str, Answer]:
+    def _registries(self, facts: FactReading) -> Mapping[str, RegistryAnswer]:
         named = hosts(facts.needed("rendering").objects)
         return dict(zip(named, at_once([functools.partial(self._registry, host) for host in named]), strict=True))
 
-    def _registry(self, host: str) -> Answer:
+    def _registry(self, host: str) -> RegistryAnswer:
         service = service_of(host)
         if service is None:
             return self.registries.ask(host)
         found = self.cluster.service(*service)
         if found is None:
-            return Answer(silent="absent: it is the platform's own, which the chart makes")
+            return RegistryAnswer(silent="absent: it is the platform's own, which the chart makes")
         port = host.partition(":")[2] or "80"
         return self.registries.ask_service(f"{found['spec'].get('clusterIP', '')}:{port}")

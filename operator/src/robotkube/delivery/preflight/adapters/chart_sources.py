@@ -23,7 +23,7 @@ NAME = "robotkube"
 
 
 @dataclass(frozen=True)
-class ChartSource:
+class PlatformChart:
     """The files of the chart, what Chart.yaml says of it, its defaults and the schema of its values."""
 
     files: Mapping[str, bytes]
@@ -32,7 +32,7 @@ class ChartSource:
     schema: Mapping[str, Any]
 
 
-def read_chart(path: Path) -> ChartSource:
+def read_chart(path: Path) -> PlatformChart:
     """The chart at `path`; InputError names path and fix when it is none, or another one than the platform's."""
     files = _archived(path) if path.is_file() else _in_folder(path)
     if CHART_FILE not in files:
@@ -41,7 +41,7 @@ def read_chart(path: Path) -> ChartSource:
     if metadata.get("name") != NAME:
         raise InputError(f"{path}: is chart {metadata.get('name')}; name that of the platform, {NAME}, with --chart")
     defaults = _mapping(files.get(VALUES_FILE, b"{}"), f"{path}/{VALUES_FILE}")
-    return ChartSource(files, metadata, defaults, _schema(files, path))
+    return PlatformChart(files, metadata, defaults, _schema(files, path))
 
 
 def read_values(paths: Sequence[Path]) -> dict[str, Any]:

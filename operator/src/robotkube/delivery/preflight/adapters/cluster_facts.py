@@ -16,7 +16,7 @@ from robotkube.delivery.preflight.adapters.helm_releases import last_revision, s
 from robotkube.delivery.preflight.core import admission
 from robotkube.delivery.preflight.core.argocd import DEFINITIONS, ArgoCd
 from robotkube.delivery.preflight.core.findings import Unread
-from robotkube.delivery.preflight.core.releases import Release, Standing
+from robotkube.delivery.preflight.core.releases import HelmRevision, PresentObjects
 from robotkube.delivery.preflight.core.renderings import Object, labels_of, name_of, plural
 from robotkube.delivery.preflight.core.rights import EVERYTHING, NeededRights, Reviewed
 from robotkube.delivery.preflight.core.storage import Storage
@@ -101,15 +101,15 @@ class ClusterFacts:
         there = (name for name, item in zip(DEFINITIONS, standing, strict=True) if item is not None)
         return ArgoCd(namespace, frozenset(there), [item for found in lists for item in found])
 
-    def release(self, name: str, namespace: str) -> Release | None:
+    def release(self, name: str, namespace: str) -> HelmRevision | None:
         """The last revision of a Helm release."""
         query = [("labelSelector", selector(name))]
         return last_revision(self._items(f"/api/v1/namespaces/{namespace}/secrets", query))
 
-    def in_namespace(self, namespace: str) -> Standing:
+    def in_namespace(self, namespace: str) -> PresentObjects:
         """The Deployments and Services of a namespace."""
         paths = (f"/apis/apps/v1/namespaces/{namespace}/deployments", f"/api/v1/namespaces/{namespace}/services")
-        return Standing(*at_once([functools.partial(self._items, path) for path in paths]))
+        return PresentObjects(*at_once([functools.partial(self._items, path) for path in paths]))
 
     def service(self, namespace: str, name: str) -> Object | None:
         """A Service; None when there is none."""
@@ -133,7 +133,7 @@ class ClusterFacts:
 
     def _missing(self, namespace: str, rights: Sequence[ApiRight]) -> Collection[ApiRight]:
         """Those that the rules in a namespace do not give; asked one by one where the rules are not all."""
-        rules, whole = self._bounded(rules_in, namespace)
+        rules, whole = self._reviewed(rules_in, namespace)
         lacking = [right for right in rights if not covers(rules, right)]
         return lacking if whole or not lacking else self._refused(lacking)
 
@@ -146,7 +146,7 @@ class ClusterFacts:
         return [right for right, has in zip(rights, allowed, strict=True) if not has]
 
     def _may(self, right: ApiRight) -> bool:
-        return bool(self._bounded(may, right))
+        return bool(self._reviewed(may, right))
 
     def _kinds(self, version: str) -> tuple[str, frozenset[str]]:
         found = self._one(f"/apis/{version}" if "/" in version else f"/api/{version}") or {}
@@ -194,14 +194,17 @@ class ClusterFacts:
         return found
 
     def _read(self, path: str, query: Query = ()) -> Object:
-        return self._object(self._call("GET", path, query))
-
-    def _object(self, answer: Any) -> Object:
-        document: Object = read_json_shortened(answer.data)
+        try:
+            document: Object = read_json_shortened(self._call("GET", path, query).data)
+        except ValueError as error:
+            raise UnavailableError(f"API server: GET {path}: its answer is no JSON") from error
         return document
 
-    def _bounded(self, review: Callable[[Call, Any], Any], asked: Any) -> Any:
-        return review(self._call, asked)
+    def _reviewed(self, review: Callable[[Call, Any], Any], asked: Any) -> Any:
+        try:
+            return review(self._call, asked)
+        except (KeyError, ValueError) as error:
+            raise InputError("absent: the API server answers no access reviews") from error
 
     def _call(self, method: str, path: str, query: Query, body: Object | None = None) -> Any:
         with self._places:

@@ -8,7 +8,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from robotkube.delivery.preflight.core.releases import Release
+from robotkube.delivery.preflight.core.releases import HelmRevision
 from robotkube.errors import InputError
 from robotkube.foundation.documents.core.json_codec import read_json
 
@@ -21,7 +21,7 @@ def selector(release: str) -> str:
     return f"owner=helm,name={release}"
 
 
-def last_revision(secrets: Sequence[Mapping[str, Any]]) -> Release | None:
+def last_revision(secrets: Sequence[Mapping[str, Any]]) -> HelmRevision | None:
     """The last revision; None when there is none. InputError when it cannot be read."""
     if not secrets:
         return None
@@ -32,7 +32,7 @@ def last_revision(secrets: Sequence[Mapping[str, Any]]) -> Release | None:
         document = read_json(_inflated(text))
         metadata, info = document["chart"]["metadata"], document["info"]
         values = document.get("config") or {}
-        return Release(str(metadata["version"]), str(info["status"]), int(document["version"]), values)
+        return HelmRevision(str(metadata["version"]), str(info["status"]), int(document["version"]), values)
     except (KeyError, TypeError, ValueError, binascii.Error, zlib.error) as error:
         raise InputError(
             f"Secret {name} holds no revision of Helm that is understood ({type(error).__name__})"

@@ -8,12 +8,12 @@ from pathlib import Path
 import httpx
 
 from robotkube.delivery.preflight.core.findings import without_accounts
-from robotkube.delivery.preflight.core.registries import HUB, HUB_API, Answer
+from robotkube.delivery.preflight.core.registries import HUB, HUB_API, RegistryAnswer
 from robotkube.errors import InputError
 
 SECONDS_MAX = 4.0
 API_HEADER, API = "Docker-Distribution-Api-Version", "registry/2.0"
-NOT_REACHED = Answer(silent="its name is the cluster's own, and its Service's address is not reached from here")
+NOT_REACHED = RegistryAnswer(silent="its name is the cluster's own, and its Service's address is not reached from here")
 
 
 class RegistryQuestions:
@@ -27,16 +27,16 @@ class RegistryQuestions:
             except (OSError, ssl.SSLError) as error:
                 raise InputError(f"{authority}: no certificate of an authority as PEM ({error})") from error
 
-    def ask(self, host: str) -> Answer:
+    def ask(self, host: str) -> RegistryAnswer:
         """What the registry at a host says."""
         try:
             return _read(self._get(f"https://{HUB_API if host == HUB else host}/v2/"))
         except httpx.TimeoutException:
-            return Answer(silent=f"timed out: no answer within {SECONDS_MAX:g} s")
+            return RegistryAnswer(silent=f"timed out: no answer within {SECONDS_MAX:g} s")
         except httpx.HTTPError as error:
-            return Answer(refused=str(error) or type(error).__name__)
+            return RegistryAnswer(refused=str(error) or type(error).__name__)
 
-    def ask_service(self, address: str) -> Answer:
+    def ask_service(self, address: str) -> RegistryAnswer:
         """What a registry inside of the cluster says at its Service's address and port, by HTTP. Outside of the cluster
         the address is another's, or nobody's, so what does not call itself a registry says nothing."""
         try:
@@ -49,5 +49,5 @@ class RegistryQuestions:
         return httpx.get(url, verify=self._context, timeout=SECONDS_MAX, trust_env=False, follow_redirects=False)
 
 
-def _read(answer: httpx.Response) -> Answer:
-    return Answer(answer.status_code, without_accounts(answer.headers.get("WWW-Authenticate", "")))
+def _read(answer: httpx.Response) -> RegistryAnswer:
+    return RegistryAnswer(answer.status_code, without_accounts(answer.headers.get("WWW-Authenticate", "")))

@@ -10,10 +10,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from robotkube.delivery.preflight.core.findings import Problem, Verdict, named
+from robotkube.delivery.preflight.core.findings import CheckVerdict, Problem, named
 from robotkube.delivery.preflight.core.renderings import (
     Object,
-    Rendering,
+    RenderedChart,
     enabled,
     group_of,
     labels_of,
@@ -37,7 +37,7 @@ Labels = Mapping[str, str]
 
 
 @dataclass(frozen=True)
-class Judged:
+class JudgedObjects:
     """Objects that may be judged: of a resource, with these labels, in a namespace with those."""
 
     group: str
@@ -63,12 +63,12 @@ Judges = Mapping[str, Sequence[Object]]
 
 
 def admission(
-    rendering: Rendering,
+    rendering: RenderedChart,
     settings: Mapping[str, Any],
     namespaces: Mapping[str, Labels],
     present: Judges,
     installed: bool,
-) -> Verdict:
+) -> CheckVerdict:
     """Nobody changes agents' pods on their way, and the platform's own policies are there where they are switched
     on."""
     targets = list(_targets(rendering, namespaces))
@@ -81,27 +81,29 @@ def admission(
     others = [f"{judge.kind} {judge.name}" for judge in touching if f"{judge.kind} {judge.name}" not in named_already]
     unseen = f"{named(others)} judge objects of the chart, and what they say is not known: {ASKING}" if others else ""
     words = "switched on" if enabled(settings, "admission") else "switched off (admission.enabled)"
-    return Verdict(f"the platform's policies are {words}; {len(judges)} judges of others", problems, unseen)
+    return CheckVerdict(f"the platform's policies are {words}; {len(judges)} judges of others", problems, unseen)
 
 
-def _targets(rendering: Rendering, namespaces: Mapping[str, Labels]) -> Iterator[Judged]:
+def _targets(rendering: RenderedChart, namespaces: Mapping[str, Labels]) -> Iterator[JudgedObjects]:
     seen = set()
     for item in rendering.objects:
         place = rendering.namespace_of(item)
         key = (group_of(item), plural(str(item.get("kind"))), place)
         if place and key not in seen:
             seen.add(key)
-            yield Judged(*key[:2], labels_of(item), place, _labels_in(place, rendering, namespaces))
+            yield JudgedObjects(*key[:2], labels_of(item), place, _labels_in(place, rendering, namespaces))
     pods = [(workload.namespace, mapping(workload.template.get("metadata"))) for workload in rendering.workloads]
     for place, metadata in pods:
-        yield Judged("", "pods", mapping(metadata.get("labels")), place, _labels_in(place, rendering, namespaces))
+        yield JudgedObjects(
+            "", "pods", mapping(metadata.get("labels")), place, _labels_in(place, rendering, namespaces)
+        )
     for place, of_agent in rendering.namespaces.items():
         if AGENT_LABEL in of_agent:
             own = {**PART, AGENT_LABEL: place}
-            yield Judged("", "pods", own, place, _labels_in(place, rendering, namespaces))
+            yield JudgedObjects("", "pods", own, place, _labels_in(place, rendering, namespaces))
 
 
-def _labels_in(place: str, rendering: Rendering, namespaces: Mapping[str, Labels]) -> Labels:
+def _labels_in(place: str, rendering: RenderedChart, namespaces: Mapping[str, Labels]) -> Labels:
     return {**namespaces.get(place, {}), **rendering.namespaces.get(place, {}), NAME_LABEL: place}
 
 
@@ -124,16 +126,16 @@ def _binds(binding: Object, policy: str, kind: str) -> bool:
     return spec.get("policyName") == policy and (kind != POLICIES or "Deny" in (spec.get("validationActions") or ()))
 
 
-def _matches(judge: Judge, target: Judged) -> bool:
+def _matches(judge: Judge, target: JudgedObjects) -> bool:
     return any(_concerns(one, target) and _selected(mapping(one.get("also")), target) for one in judge.stated)
 
 
-def _concerns(stated: Mapping[str, Any], target: Judged) -> bool:
+def _concerns(stated: Mapping[str, Any], target: JudgedObjects) -> bool:
     rules = items(stated.get("rules")) or items(stated.get("resourceRules"))
     return any(_ruled(rule, target) for rule in rules) and _selected(stated, target)
 
 
-def _ruled(rule: Mapping[str, Any], target: Judged) -> bool:
+def _ruled(rule: Mapping[str, Any], target: JudgedObjects) -> bool:
     operations, groups, resources = (set(rule.get(key) or ()) for key in ("operations", "apiGroups", "resources"))
     return (
         bool({"*", "CREATE", "UPDATE"} & operations)
@@ -142,7 +144,7 @@ def _ruled(rule: Mapping[str, Any], target: Judged) -> bool:
     )
 
 
-def _selected(stated: Mapping[str, Any], target: Judged) -> bool:
+def _selected(stated: Mapping[str, Any], target: JudgedObjects) -> bool:
     """Whether both selectors take the target; one that is not understood does."""
     for key, known in (("namespaceSelector", target.namespace_labels), ("objectSelector", target.labels)):
         try:
@@ -153,7 +155,7 @@ def _selected(stated: Mapping[str, Any], target: Judged) -> bool:
     return True
 
 
-def _changing(judges: Sequence[Judge], targets: Sequence[Judged]) -> Iterator[Problem]:
+def _changing(judges: Sequence[Judge], targets: Sequence[JudgedObjects]) -> Iterator[Problem]:
     pods = [target for target in targets if target.resource == "pods" and AGENT_LABEL in target.labels]
     for judge in judges:
         places = sorted({pod.namespace for pod in pods if judge.changes and _matches(judge, pod)})

@@ -6,15 +6,15 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from robotkube.delivery.preflight.core.findings import Problem, Unread, Verdict, named
+from robotkube.delivery.preflight.core.findings import CheckVerdict, Problem, Unread, named
 from robotkube.delivery.preflight.core.renderings import Object, agents, labels_of, name_of
 from robotkube.registry.suites.core.pod_security import items, mapping
 
 AGENT, ROLE, CAPABILITY = "robotkube.io/agent", "robotkube.io/role", "robotkube.io/capability."
-WHY_NO_NODE = "nothing can run for it: tasks are refused with NoCapableNode"
+WHY_NO_NODE = "until one is there tasks on it are refused with NoCapableNode"
 
 
-def agents_nodes(settings: Mapping[str, Any], nodes: Sequence[Object]) -> Verdict:
+def agents_nodes(settings: Mapping[str, Any], nodes: Sequence[Object]) -> CheckVerdict:
     """Each agent has a Node, of its role; no Node names an agent that is not declared."""
     declared = {str(agent.get("name")): str(agent.get("role")) for agent in agents(settings)}
     owned = of_agents(nodes)
@@ -23,7 +23,7 @@ def agents_nodes(settings: Mapping[str, Any], nodes: Sequence[Object]) -> Verdic
         for node in own:
             problems += _wrong_labels(node, name, declared)
     says = f"{len(declared)} agents in the values, {len(owned)} named by Nodes, {len(nodes)} Nodes"
-    return Verdict(says, problems)
+    return CheckVerdict(says, problems)
 
 
 def of_agents(nodes: Sequence[Object]) -> Mapping[str, Sequence[Object]]:
@@ -60,14 +60,14 @@ def _wrong_labels(node: Object, agent: str, declared: Mapping[str, str]) -> Iter
             )
 
 
-def agents_ready(settings: Mapping[str, Any], nodes: Sequence[Object]) -> Verdict:
+def agents_ready(settings: Mapping[str, Any], nodes: Sequence[Object]) -> CheckVerdict:
     """Every Node of a declared agent is Ready and takes pods."""
     declared = [str(agent.get("name")) for agent in agents(settings)]
     owned = of_agents(nodes)
     own = [node for name in declared for node in owned.get(name, ())]
     problems = [problem for node in own for problem in _not_ready(node)]
     unseen = "" if own else "no Node of an agent is there (see check agents)"
-    return Verdict(f"{len(own)} Nodes of agents", problems, unseen)
+    return CheckVerdict(f"{len(own)} Nodes of agents", problems, unseen)
 
 
 def is_ready(node: Object) -> bool:
@@ -94,7 +94,7 @@ def _not_ready(node: Object) -> Iterator[Problem]:
         )
 
 
-def control_groups(versions: Mapping[str, int | Unread]) -> Verdict:
+def control_groups(versions: Mapping[str, int | Unread]) -> CheckVerdict:
     """Every Node has control groups of version 2, as its kubelet says in its metrics."""
     old = sorted(name for name, version in versions.items() if version == 1)
     unread = {name: version.why for name, version in versions.items() if isinstance(version, Unread)}
@@ -104,4 +104,4 @@ def control_groups(versions: Mapping[str, int | Unread]) -> Verdict:
     words = "; ".join(sorted(set(unread.values())))
     unseen = f"version of {named(sorted(unread))} not read: {words}" if unread else ""
     unseen = unseen if versions else "there is no Node"
-    return Verdict(f"{len(versions) - len(unread)} of {len(versions)} Nodes say their version", problems, unseen)
+    return CheckVerdict(f"{len(versions) - len(unread)} of {len(versions)} Nodes say their version", problems, unseen)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from robotkube.delivery.preflight.core.findings import Problem, Verdict
+from robotkube.delivery.preflight.core.findings import CheckVerdict, Problem
 from robotkube.delivery.preflight.core.renderings import Object, labels_of, name_of
 from robotkube.registry.suites.core.pod_security import items, mapping
 
@@ -27,7 +27,7 @@ class ArgoCd:
     workloads: Sequence[Object]
 
 
-def argocd(present: ArgoCd) -> Verdict:
+def argocd(present: ArgoCd) -> CheckVerdict:
     """It has its definitions, and the parts that carry releases out are running."""
     problems = [_undefined(name) for name in DEFINITIONS if name not in present.definitions]
     parts = {str(labels_of(one).get(COMPONENT, "")): one for one in present.workloads}
@@ -37,7 +37,7 @@ def argocd(present: ArgoCd) -> Verdict:
     unseen = "" if version or problems else "its images have no tag, so its version is not known"
     if version and not version.startswith(f"{MAJOR}."):
         unseen = f"the platform is tested with Argo CD {MAJOR} alone, which does not say what {version} does"
-    return Verdict(f"version {version or 'not known'} in namespace {present.namespace}", problems, unseen)
+    return CheckVerdict(f"version {version or 'not known'} in namespace {present.namespace}", problems, unseen)
 
 
 def namespace_in(settings: Mapping[str, Any]) -> str:

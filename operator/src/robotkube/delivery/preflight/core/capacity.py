@@ -11,11 +11,11 @@ from decimal import Decimal
 from typing import Any
 
 from robotkube.delivery.preflight.core.agents import is_ready
-from robotkube.delivery.preflight.core.findings import Problem, Verdict, named
+from robotkube.delivery.preflight.core.findings import CheckVerdict, Problem, named
 from robotkube.delivery.preflight.core.renderings import (
     BEFORE_DELETION,
     Object,
-    Rendering,
+    RenderedChart,
     Workload,
     labels_of,
     metadata_of,
@@ -47,7 +47,7 @@ class _Room:
             self.free[name] -= asked[name]
 
 
-def capacity(rendering: Rendering, nodes: Sequence[Object], pods: Sequence[Object]) -> Verdict:
+def capacity(rendering: RenderedChart, nodes: Sequence[Object], pods: Sequence[Object]) -> CheckVerdict:
     """Each pod of the chart finds a Node. Pods of the platform that run already are not counted as another's."""
     rooms = _rooms(rendering, nodes, pods)
     wanted = [one for one in rendering.workloads if BEFORE_DELETION not in one.hook]
@@ -64,7 +64,7 @@ def capacity(rendering: Rendering, nodes: Sequence[Object], pods: Sequence[Objec
             problems.append(_unplaced(workload, asked, eligible))
     total = {name: sum((asked[name] for _, asked in copies), ENOUGH) for name in RESOURCES}
     says = f"{len(copies)} pods ask for {_words(total)}; {len(rooms)} Nodes are ready and take pods"
-    return Verdict(says, problems)
+    return CheckVerdict(says, problems)
 
 
 def requests(pod: Mapping[str, Any]) -> Amounts:
@@ -79,7 +79,7 @@ def _asked(pod: Mapping[str, Any], kind: str, name: str) -> list[Decimal]:
     return [quantity(amount) or ENOUGH for amount in amounts]
 
 
-def _rooms(rendering: Rendering, nodes: Sequence[Object], pods: Sequence[Object]) -> list[_Room]:
+def _rooms(rendering: RenderedChart, nodes: Sequence[Object], pods: Sequence[Object]) -> list[_Room]:
     usable = [node for node in nodes if is_ready(node) and not mapping(node.get("spec")).get("unschedulable")]
     rooms = {name_of(node): _Room(node, _allocatable(node)) for node in usable}
     own = {workload.namespace for workload in rendering.workloads}

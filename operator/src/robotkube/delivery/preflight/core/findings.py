@@ -23,7 +23,7 @@ class Problem:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class CheckVerdict:
     """What a check made of the facts: `says` what was seen, the problems, and `unseen`, what could not be looked at."""
 
     says: str
@@ -39,7 +39,7 @@ class Unread:
 
 
 @dataclass(frozen=True)
-class Finding:
+class ClusterFinding:
     """The outcome of one check: `result` is OK, FAILED or NOT_CHECKED. One that could not look is never OK."""
 
     check: str

@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from robotkube.delivery.preflight.core.findings import Problem, Verdict
-from robotkube.delivery.preflight.core.renderings import Rendering, enabled, group_of
+from robotkube.delivery.preflight.core.findings import CheckVerdict, Problem
+from robotkube.delivery.preflight.core.renderings import RenderedChart, enabled, group_of
 from robotkube.registry.suites.core.pod_security import mapping
 
 CONSTRAINT = re.compile(r"\s*>=\s*v?([0-9]+)\.([0-9]+)(\.[0-9]+)?(-[0-9A-Za-z.]+)?\s*")
@@ -22,21 +22,21 @@ Served = Mapping[str, frozenset[str]]
 """The kinds that are served, by `<group>/<version>`; empty for a version that is not."""
 
 
-def kubernetes_version(chart: Mapping[str, Any], version: str) -> Verdict:
+def kubernetes_version(chart: Mapping[str, Any], version: str) -> CheckVerdict:
     """The API server's version meets `kubeVersion` of the chart."""
     wanted = str(chart.get("kubeVersion", ""))
     least, present = CONSTRAINT.fullmatch(wanted), VERSION.match(version)
     if not least or not present:
-        return Verdict("", unseen=f"{version} and the chart's kubeVersion {wanted!r} cannot be compared")
+        return CheckVerdict("", unseen=f"{version} and the chart's kubeVersion {wanted!r} cannot be compared")
     says = f"{version}; the chart asks for {wanted}"
     if (int(present[1]), int(present[2])) >= (int(least[1]), int(least[2])):
-        return Verdict(says)
+        return CheckVerdict(says)
     why = "Helm refuses the chart there, and kinds that it makes are missing"
     problem = Problem(f"Kubernetes {version} is older than {wanted}", "API server", why, "upgrade the control plane")
-    return Verdict(says, [problem])
+    return CheckVerdict(says, [problem])
 
 
-def api_kinds(rendering: Rendering, settings: Mapping[str, Any], served: Served) -> Verdict:
+def api_kinds(rendering: RenderedChart, settings: Mapping[str, Any], served: Served) -> CheckVerdict:
     """Every kind that the chart renders and does not define itself is served."""
     needed = {(str(item.get("apiVersion")), str(item.get("kind"))) for item in rendering.objects}
     needed -= {pair for pair in needed if (pair[0].partition("/")[0], pair[1]) in set(_defined(rendering))}
@@ -46,7 +46,7 @@ def api_kinds(rendering: Rendering, settings: Mapping[str, Any], served: Served)
     missing = sorted(pair for pair in needed if pair[1] not in served.get(pair[0], frozenset()))
     words = "served" if policies else "not served, which admission.enabled: true would need"
     says = f"{len(needed) - len(missing)} of {len(needed)} kinds are served; {ADMISSION_KIND} v1 is {words}"
-    return Verdict(says, [_missing(version, kind) for version, kind in missing])
+    return CheckVerdict(says, [_missing(version, kind) for version, kind in missing])
 
 
 def _missing(version: str, kind: str) -> Problem:
@@ -57,13 +57,13 @@ def _missing(version: str, kind: str) -> Problem:
     )
 
 
-def _defined(rendering: Rendering) -> Iterator[tuple[str, str]]:
+def _defined(rendering: RenderedChart) -> Iterator[tuple[str, str]]:
     for item in rendering.of_kind("CustomResourceDefinition"):
         spec = mapping(item.get("spec"))
         yield str(spec.get("group")), str(mapping(spec.get("names")).get("kind"))
 
 
-def versions(rendering: Rendering) -> tuple[str, ...]:
+def versions(rendering: RenderedChart) -> tuple[str, ...]:
     """The `<group>/<version>` that have to be asked for what they serve."""
     stated = {str(item.get("apiVersion")) for item in rendering.objects if group_of(item)}
     return tuple(sorted({*stated, "v1", ADMISSION_API}))

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from robotkube.delivery.preflight.core.findings import Problem, Verdict
+from robotkube.delivery.preflight.core.findings import CheckVerdict, Problem
 from robotkube.delivery.preflight.core.renderings import (
     OF_THE_CLUSTER,
     Object,
-    Rendering,
+    RenderedChart,
     annotations_of,
     labels_of,
     name_of,
@@ -23,22 +23,22 @@ Standing = Mapping[tuple[str, str], Object | None]
 """What stands under kind and name; None where there is nothing."""
 
 
-def owned_objects(rendering: Rendering) -> tuple[Object, ...]:
+def owned_objects(rendering: RenderedChart) -> tuple[Object, ...]:
     """The objects of the chart whose owners are looked at."""
     return tuple(rendering.of_kind(*OF_THE_CLUSTER))
 
 
-def owners(rendering: Rendering, standing: Standing, namespaces: Mapping[str, Mapping[str, str]]) -> Verdict:
+def owners(rendering: RenderedChart, standing: Standing, namespaces: Mapping[str, Mapping[str, str]]) -> CheckVerdict:
     """What is there already is this release's, and the release's own namespace is there."""
     problems = [*_no_namespace(rendering, namespaces)]
     for (kind, name), item in standing.items():
         if item is not None:
             problems += _foreign(kind, name, item, rendering)
     there = sum(item is not None for item in standing.values())
-    return Verdict(f"{there} of {len(standing)} objects of the whole cluster are there already", problems)
+    return CheckVerdict(f"{there} of {len(standing)} objects of the whole cluster are there already", problems)
 
 
-def _no_namespace(rendering: Rendering, namespaces: Mapping[str, Mapping[str, str]]) -> Iterator[Problem]:
+def _no_namespace(rendering: RenderedChart, namespaces: Mapping[str, Mapping[str, str]]) -> Iterator[Problem]:
     own = rendering.namespace
     if own not in namespaces:
         fix = f"kubectl create namespace {own}, and label it pod-security.kubernetes.io/enforce=restricted"
@@ -47,7 +47,7 @@ def _no_namespace(rendering: Rendering, namespaces: Mapping[str, Mapping[str, st
         )
 
 
-def _foreign(kind: str, name: str, item: Object, rendering: Rendering) -> Iterator[Problem]:
+def _foreign(kind: str, name: str, item: Object, rendering: RenderedChart) -> Iterator[Problem]:
     said = annotations_of(item)
     owner = f"{said.get(RELEASE_NAMESPACE, '')}/{said.get(RELEASE_NAME, '')}"
     own = f"{rendering.namespace}/{rendering.release}"

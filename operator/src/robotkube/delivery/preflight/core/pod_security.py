@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
-from robotkube.delivery.preflight.core.findings import Problem, Verdict, named
-from robotkube.delivery.preflight.core.renderings import Rendering, Workload
+from robotkube.delivery.preflight.core.findings import CheckVerdict, Problem, named
+from robotkube.delivery.preflight.core.renderings import RenderedChart, Workload
 from robotkube.registry.suites.core.pod_security import RULES, Pod
 
 ENFORCE = "pod-security.kubernetes.io/enforce"
@@ -18,7 +18,7 @@ Labels = Mapping[str, Mapping[str, str]]
 """The labels of namespaces, by name."""
 
 
-def pod_security(rendering: Rendering, namespaces: Labels) -> Verdict:
+def pod_security(rendering: RenderedChart, namespaces: Labels) -> CheckVerdict:
     """No namespace refuses a pod of the chart. Where no level stands, that of the API server counts, which cannot be
     read; pods that meet `restricted` are let in whatever it is."""
     problems: list[Problem] = []
@@ -32,10 +32,10 @@ def pod_security(rendering: Rendering, namespaces: Labels) -> Verdict:
     places = sorted({workload.namespace for workload in rendering.workloads})
     levels = [f"{one}: {level_of(one, rendering, namespaces) or 'no level'}" for one in places]
     unseen = f"the API server's own level counts in {named(sorted(unknown))}, and cannot be read" if unknown else ""
-    return Verdict(named(levels), problems, unseen)
+    return CheckVerdict(named(levels), problems, unseen)
 
 
-def level_of(namespace: str, rendering: Rendering, namespaces: Labels) -> str:
+def level_of(namespace: str, rendering: RenderedChart, namespaces: Labels) -> str:
     """The level that will be enforced: the chart's own label, else the one that stands; empty where there is none."""
     rendered = rendering.namespaces.get(namespace, {}).get(ENFORCE)
     return str(rendered or namespaces.get(namespace, {}).get(ENFORCE, ""))

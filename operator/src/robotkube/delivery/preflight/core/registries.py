@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from robotkube.delivery.preflight.core.findings import Problem, Verdict
+from robotkube.delivery.preflight.core.findings import CheckVerdict, Problem
 from robotkube.delivery.preflight.core.renderings import Object
 from robotkube.registry.charts.core.pod_images import pod_images
 
@@ -18,7 +18,7 @@ WHY = "nodes that do not get an image do not start its pods"
 
 
 @dataclass(frozen=True)
-class Answer:
+class RegistryAnswer:
     """What a registry's /v2/ said: the status, and the challenge of its header WWW-Authenticate; or `refused`, why the
     connection was not made or believed, or `silent`, why nothing is known."""
 
@@ -46,15 +46,15 @@ def service_of(host: str) -> tuple[str, str] | None:
     return (namespace, name) if f".{domain}.".startswith(f"{OF_THE_CLUSTER}.") else None
 
 
-def registries(reached: Mapping[str, Answer]) -> Verdict:
+def registries(reached: Mapping[str, RegistryAnswer]) -> CheckVerdict:
     """Each registry answers as one, by HTTPS; a registry inside of the cluster at its Service's address."""
     problems = [problem for host, answer in reached.items() for problem in _problems(host, answer)]
     silent = [f"{host}: {answer.silent}" for host, answer in reached.items() if answer.silent]
     said = [f"{host}: {_words(answer)}" for host, answer in reached.items() if answer.status]
-    return Verdict("; ".join(said) or "no registry answered", problems, "; ".join(silent))
+    return CheckVerdict("; ".join(said) or "no registry answered", problems, "; ".join(silent))
 
 
-def _problems(host: str, answer: Answer) -> Iterator[Problem]:
+def _problems(host: str, answer: RegistryAnswer) -> Iterator[Problem]:
     where = f"registry {host}"
     if answer.refused:
         fix = "correct `images` in the values, or give the authority of its certificate with --registry-ca FILE"
@@ -67,7 +67,7 @@ def _problems(host: str, answer: Answer) -> Iterator[Problem]:
         yield Problem(what, where, WHY, "correct `images` in the values, or ask who runs the registry")
 
 
-def _words(answer: Answer) -> str:
+def _words(answer: RegistryAnswer) -> str:
     challenge = CHALLENGE.search(answer.challenge)
     if answer.status == 401 and challenge:
         realm = f" of {challenge[2].partition('?')[0]}" if challenge[2] else ""

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from robotkube.delivery.preflight.core.findings import Problem, Verdict
-from robotkube.delivery.preflight.core.renderings import Object, Rendering, name_of
+from robotkube.delivery.preflight.core.findings import CheckVerdict, Problem
+from robotkube.delivery.preflight.core.renderings import Object, RenderedChart, name_of
 from robotkube.registry.suites.core.pod_security import items, mapping
 
 NUMBERS = re.compile(r"([0-9]+)\.([0-9]+)\.([0-9]+)")
@@ -18,7 +18,7 @@ GATE, BROKER = "gate", "broker"
 
 
 @dataclass(frozen=True)
-class Release:
+class HelmRevision:
     """A revision of the release, the last one: version of its chart, its state in Helm's words, its values."""
 
     version: str
@@ -28,25 +28,29 @@ class Release:
 
 
 @dataclass(frozen=True)
-class Standing:
+class PresentObjects:
     """The Deployments and Services of the release's namespace."""
 
     deployments: Sequence[Object]
     services: Sequence[Object]
 
 
-def release(chart: Mapping[str, Any], rendering: Rendering, present: Release | None, standing: Standing) -> Verdict:
+def release(
+    chart: Mapping[str, Any], rendering: RenderedChart, present: HelmRevision | None, standing: PresentObjects
+) -> CheckVerdict:
     """The release is in a state from which Helm goes on, and nothing of its version stands in the way of this one."""
     own = str(chart.get("version"))
     if present is None:
-        return Verdict(f"no release {rendering.release} in namespace {rendering.namespace}: an installation of {own}")
+        return CheckVerdict(
+            f"no release {rendering.release} in namespace {rendering.namespace}: an installation of {own}"
+        )
     problems = [*_state(present, rendering), *_way(present.version, own), *_demands(rendering, standing)]
     way = f"version {own} over {present.version}" if own != present.version else f"version {own}, as installed"
     says = f"revision {present.revision} of {rendering.release} is {present.status}; {way}"
-    return Verdict(f"{says}; UPGRADING.md says what no program can see", problems)
+    return CheckVerdict(f"{says}; UPGRADING.md says what no program can see", problems)
 
 
-def _state(present: Release, rendering: Rendering) -> Iterator[Problem]:
+def _state(present: HelmRevision, rendering: RenderedChart) -> Iterator[Problem]:
     where = f"release {rendering.namespace}/{rendering.release}, revision {present.revision}"
     history = f"helm history {rendering.release} --namespace {rendering.namespace}"
     if present.status in PENDING:
@@ -67,13 +71,13 @@ def _way(installed: str, own: str) -> Iterator[Problem]:
         yield Problem(f"version {installed} is installed, this chart is {own}", "Chart.yaml, version", why, fix)
 
 
-def _demands(rendering: Rendering, standing: Standing) -> Iterator[Problem]:
+def _demands(rendering: RenderedChart, standing: PresentObjects) -> Iterator[Problem]:
     """What UPGRADING.md asks for before, as far as objects of the cluster show that it was not done."""
     yield from _former_gate(rendering, standing)
     yield from _broker_in_clear_text(rendering, standing)
 
 
-def _former_gate(rendering: Rendering, standing: Standing) -> Iterator[Problem]:
+def _former_gate(rendering: RenderedChart, standing: PresentObjects) -> Iterator[Problem]:
     own = rendering.namespace
     moved = any(one.name == GATE and one.namespace != own for one in rendering.workloads)
     runs = any(name_of(one) == GATE and mapping(one.get("spec")).get("replicas", 1) for one in standing.deployments)
@@ -83,7 +87,7 @@ def _former_gate(rendering: Rendering, standing: Standing) -> Iterator[Problem]:
         yield Problem("the gate of an earlier version runs", f"Deployment {own}/{GATE}", why, fix)
 
 
-def _broker_in_clear_text(rendering: Rendering, standing: Standing) -> Iterator[Problem]:
+def _broker_in_clear_text(rendering: RenderedChart, standing: PresentObjects) -> Iterator[Problem]:
     now = [_ports(one) for one in standing.services if name_of(one) == BROKER]
     then = [_ports(one) for one in rendering.of_kind("Service") if name_of(one) == BROKER]
     if now and then and ENCRYPTED not in now[0] and ENCRYPTED in then[0] and PLAIN not in then[0]:

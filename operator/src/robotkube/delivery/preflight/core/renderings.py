@@ -43,7 +43,7 @@ class Workload:
 
 
 @dataclass(frozen=True)
-class Rendering:
+class RenderedChart:
     """The objects of the chart; those without a namespace are in `namespace`, that of the release."""
 
     objects: Sequence[Object]

@@ -11,11 +11,11 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from robotkube.delivery.preflight.core.findings import Problem, Verdict, named
+from robotkube.delivery.preflight.core.findings import CheckVerdict, Problem, named
 from robotkube.delivery.preflight.core.renderings import (
     HOOK,
     Object,
-    Rendering,
+    RenderedChart,
     annotations_of,
     group_of,
     plural,
@@ -54,7 +54,7 @@ class Reviewed:
     missing: frozenset[ApiRight]
 
 
-def needed_rights(rendering: Rendering) -> NeededRights:
+def needed_rights(rendering: RenderedChart) -> NeededRights:
     """The rights that installing, upgrading and uninstalling the chart takes."""
     own = {right for item in rendering.objects for right in _on(item, rendering)}
     own |= {ApiRight(verb, "", "secrets", rendering.namespace) for verb in RELEASE_VERBS}
@@ -70,14 +70,14 @@ def giving_rights(kind: str, namespace: str) -> tuple[ApiRight, ...]:
     return tuple(ApiRight(verb, RBAC, ROLES[kind], namespace) for verb in GIVING_VERBS)
 
 
-def rights(reviewed: Reviewed) -> Verdict:
+def rights(reviewed: Reviewed) -> CheckVerdict:
     """The account may do everything that Helm does with the chart."""
     needed, missing = reviewed.needed, reviewed.missing
     problems = [
         *_problems(needed.own & missing, _own),
         *_problems(frozenset().union(*_not_givable(needed, missing)), _giving),
     ]
-    return Verdict(f"{len(needed.all)} rights were asked for", problems)
+    return CheckVerdict(f"{len(needed.all)} rights were asked for", problems)
 
 
 def _not_givable(needed: NeededRights, missing: frozenset[ApiRight]) -> Iterator[frozenset[ApiRight]]:
@@ -86,7 +86,7 @@ def _not_givable(needed: NeededRights, missing: frozenset[ApiRight]) -> Iterator
             yield given & missing
 
 
-def _on(item: Object, rendering: Rendering) -> Iterator[ApiRight]:
+def _on(item: Object, rendering: RenderedChart) -> Iterator[ApiRight]:
     verbs = HOOK_VERBS if annotations_of(item).get(HOOK) else OBJECT_VERBS
     group, resource, namespace = group_of(item), plural(str(item.get("kind"))), rendering.namespace_of(item)
     return (ApiRight(verb, group, resource, namespace) for verb in verbs)

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from robotkube.delivery.preflight.core.findings import Problem, Verdict, named
-from robotkube.delivery.preflight.core.renderings import Object, Rendering, annotations_of, metadata_of, name_of
+from robotkube.delivery.preflight.core.findings import CheckVerdict, Problem, named
+from robotkube.delivery.preflight.core.renderings import Object, RenderedChart, annotations_of, metadata_of, name_of
 from robotkube.foundation.documents.core.quantities import quantity
 from robotkube.registry.suites.core.pod_security import items, mapping
 
@@ -43,7 +43,7 @@ class Claim:
         return f"volume claim {self.namespace}/{self.name}"
 
 
-def storage(rendering: Rendering, present: Storage) -> Verdict:
+def storage(rendering: RenderedChart, present: Storage) -> CheckVerdict:
     """Each volume claim has a class that is there, and what stands under its name is the same."""
     claims = list(_claims(rendering))
     default = next((name_of(one) for one in present.classes if annotations_of(one).get(DEFAULT) == "true"), "")
@@ -64,10 +64,10 @@ def storage(rendering: Rendering, present: Storage) -> Verdict:
         elif claim.modes != {ONE_NODE}:
             unseen.add(f"no API says whether class {chosen} gives {', '.join(sorted(claim.modes))}")
     says = f"{len(claims)} volume claims, {len(standing)} there already; default class: {default or 'none'}"
-    return Verdict(says, problems, "; ".join(sorted(unseen)))
+    return CheckVerdict(says, problems, "; ".join(sorted(unseen)))
 
 
-def _claims(rendering: Rendering) -> Iterator[Claim]:
+def _claims(rendering: RenderedChart) -> Iterator[Claim]:
     for item in rendering.of_kind("PersistentVolumeClaim"):
         yield _claim(item, rendering.namespace_of(item), name_of(item))
     for item in rendering.of_kind("StatefulSet"):

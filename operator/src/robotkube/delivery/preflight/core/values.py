@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from robotkube.delivery.preflight.core.findings import Problem, Verdict, without_accounts
+from robotkube.delivery.preflight.core.findings import CheckVerdict, Problem, without_accounts
 from robotkube.delivery.preflight.core.renderings import agents
 
 NUMBERED = re.compile(r"^\s*[0-9]+\. (.+)$", re.MULTILINE)
@@ -58,12 +58,12 @@ def without_value(message: str, settings: Any, path: Path) -> str:
     return message.replace(repr(value), "this value", 1)
 
 
-def values(judgement: Judgement, settings: Mapping[str, Any]) -> Verdict:
+def values(judgement: Judgement, settings: Mapping[str, Any]) -> CheckVerdict:
     """Schema and templates of the chart take the values."""
     says = f"values of {judgement.source}; {len(agents(settings))} agents"
     if judgement.violations:
-        return Verdict(says, [_violation(path, words) for path, words in judgement.violations])
-    return Verdict(says, list(_refusals(judgement.refusal)))
+        return CheckVerdict(says, [_violation(path, words) for path, words in judgement.violations])
+    return CheckVerdict(says, list(_refusals(judgement.refusal)))
 
 
 def _violation(path: Path, words: str) -> Problem:

@@ -19,11 +19,11 @@ AT_ONCE = 8
 Clock = Callable[[], float]
 
 
-class Reading:
+class FactReading:
     """The facts of these readers. A reader gets this object, and asks it for the facts that its own rests on."""
 
     def __init__(
-        self, readers: Mapping[str, Callable[[Reading], Any]], seconds: float, clock: Clock = time.monotonic
+        self, readers: Mapping[str, Callable[[FactReading], Any]], seconds: float, clock: Clock = time.monotonic
     ) -> None:
         self._readers = readers
         self._seconds = seconds

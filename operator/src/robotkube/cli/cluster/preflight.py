@@ -16,7 +16,7 @@ from robotkube.delivery.preflight.adapters.chart_sources import read_chart, read
 from robotkube.delivery.preflight.adapters.cluster_facts import ClusterFacts
 from robotkube.delivery.preflight.adapters.registry_answers import RegistryQuestions
 from robotkube.delivery.preflight.core.checks import findings
-from robotkube.delivery.preflight.core.findings import FAILED, NOT_CHECKED, Finding, Unread
+from robotkube.delivery.preflight.core.findings import FAILED, NOT_CHECKED, ClusterFinding, Unread
 from robotkube.delivery.preflight.facts import Preflight
 from robotkube.foundation.kubernetes.adapters import client
 from robotkube.registry.charts.adapters.helm import find_helm
@@ -62,7 +62,7 @@ def check_cluster(options: argparse.Namespace) -> Table:
     return shown(findings(facts), version.why if isinstance(version, Unread) else "")
 
 
-def shown(found: Sequence[Finding], unreachable: str = "") -> Table:
+def shown(found: Sequence[ClusterFinding], unreachable: str = "") -> Table:
     """The findings, as people and programs read them."""
     failed, unknown = (_names(found, result) for result in (FAILED, NOT_CHECKED))
     return Table(
@@ -76,11 +76,11 @@ def shown(found: Sequence[Finding], unreachable: str = "") -> Table:
     )
 
 
-def _names(found: Sequence[Finding], result: str) -> list[str]:
+def _names(found: Sequence[ClusterFinding], result: str) -> list[str]:
     return [one.check for one in found if one.result == result]
 
 
-def _lines(found: Sequence[Finding]) -> Iterator[str]:
+def _lines(found: Sequence[ClusterFinding]) -> Iterator[str]:
     widths = [
         max(len(text) for text in column) for column in zip(*((one.result, one.check) for one in found), strict=True)
     ]

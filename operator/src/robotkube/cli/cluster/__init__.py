@@ -1,0 +1,1 @@
+"""Commands about a cluster, whether or not a platform is on it."""
