@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from robotkube.delivery.preflight.core.capacity import requests
 from robotkube.delivery.preflight.core.checks import CHECKS, findings
 from robotkube.delivery.preflight.core.findings import (
     FAILED,
@@ -328,6 +329,16 @@ class TestCapacity:
         own = {"metadata": {"namespace": "robotkube", "labels": labels}}
         pods = [{**own, "spec": {"nodeName": name, "containers": containers}} for name in AGENTS]
         assert finding("capacity", pods=pods).result == OK
+
+    def test_what_a_pod_asks_for(self) -> None:
+        def container(memory: str, **more: Any) -> dict[str, Any]:
+            return {"resources": {"requests": {"memory": memory}}, **more}
+
+        both = [container("1Gi"), {"resources": {"limits": {"memory": "1Gi"}}}]
+        assert requests({"containers": both})["memory"] == 2 * 2**30, "a limit alone is a request as well"
+        assert requests({"containers": both, "initContainers": [container("3Gi")]})["memory"] == 3 * 2**30
+        sidecar = container("3Gi", restartPolicy="Always")
+        assert requests({"containers": both, "initContainers": [sidecar]})["memory"] == 5 * 2**30
 
     def test_labels_and_taints(self) -> None:
         made = rendering("embedded")  # nodeSelector and toleration of role platform

@@ -68,13 +68,15 @@ def capacity(rendering: RenderedChart, nodes: Sequence[Object], pods: Sequence[O
 
 
 def requests(pod: Mapping[str, Any]) -> Amounts:
-    """What a pod asks for: its containers together, or the largest of the init containers when that is more."""
-    together = {name: sum(_asked(pod, "containers", name), ENOUGH) for name in RESOURCES}
-    return {name: max(together[name], *_asked(pod, "initContainers", name), ENOUGH) for name in RESOURCES}
+    """What a pod asks for: its containers together, sidecars among them, or the largest of the other init containers
+    when that is more."""
+    first = items(pod.get("initContainers"))
+    beside = [*items(pod.get("containers")), *(one for one in first if one.get("restartPolicy") == "Always")]
+    return {name: max(sum(_asked(beside, name), ENOUGH), *_asked(first, name), ENOUGH) for name in RESOURCES}
 
 
-def _asked(pod: Mapping[str, Any], kind: str, name: str) -> list[Decimal]:
-    stated = [mapping(container.get("resources")) for container in items(pod.get(kind))]
+def _asked(containers: Sequence[Mapping[str, Any]], name: str) -> list[Decimal]:
+    stated = [mapping(container.get("resources")) for container in containers]
     amounts = [mapping(one.get("requests")).get(name, mapping(one.get("limits")).get(name)) for one in stated]
     return [quantity(amount) or ENOUGH for amount in amounts]
 
