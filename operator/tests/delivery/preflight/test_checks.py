@@ -208,7 +208,9 @@ class TestStorage:
             "metadata": {"namespace": "cloud-0", "name": "recordings"},
             "spec": {"accessModes": ["ReadWriteMany"], "storageClassName": "local"},
         }
-        present = Storage(facts()["storage"].classes, [claim], ())
+        other = {"metadata": {"namespace": "other", "name": "recordings"}}
+        present = Storage(facts()["storage"].classes, [claim, other], ())
+        assert "6 volume claims, 1 there already" in finding("storage", storage=present).says
         assert "accessModes is ReadWriteMany, the chart wants ReadWriteOnce" in said(
             finding("storage", storage=present)
         )

@@ -63,7 +63,8 @@ def storage(rendering: RenderedChart, present: Storage) -> CheckVerdict:
             problems += [] if _fitting(claim, chosen, present.volumes) else [_no_volume(claim, chosen)]
         elif claim.modes != {ONE_NODE}:
             unseen.add(f"no API says whether class {chosen} gives {', '.join(sorted(claim.modes))}")
-    says = f"{len(claims)} volume claims, {len(standing)} there already; default class: {default or 'none'}"
+    there = sum((claim.namespace, claim.name) in standing for claim in claims)
+    says = f"{len(claims)} volume claims, {there} there already; default class: {default or 'none'}"
     return CheckVerdict(says, problems, "; ".join(sorted(unseen)))
 
 
