@@ -264,6 +264,13 @@ class TestAdmission:
         found = self.found("ValidatingWebhookConfiguration")
         assert (found.result, "ValidatingWebhookConfiguration mesh" in found.says) == (NOT_CHECKED, True)
 
+    @pytest.mark.parametrize(("resource", "result"), [("clusterroles", NOT_CHECKED), ("namespaces", OK)])
+    def test_objects_of_the_whole_cluster_are_judged_wherever_a_webhook_looks(self, resource: str, result: str) -> None:
+        rule = {"operations": ["*"], "apiGroups": ["*"], "resources": [resource]}
+        elsewhere = {"matchLabels": {"team": "payments"}}
+        found = self.found("ValidatingWebhookConfiguration", rules=[rule], namespaceSelector=elsewhere)
+        assert found.result == result
+
     @pytest.mark.parametrize(("action", "result"), [("Deny", NOT_CHECKED), ("Warn", OK)])
     def test_policies_count_when_they_refuse(self, action: str, result: str) -> None:
         constraints = {"resourceRules": [RULE]}

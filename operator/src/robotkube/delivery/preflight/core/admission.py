@@ -38,13 +38,14 @@ Labels = Mapping[str, str]
 
 @dataclass(frozen=True)
 class JudgedObjects:
-    """Objects that may be judged: of a resource, with these labels, in a namespace with those."""
+    """Objects that may be judged: of a resource, with these labels, in a namespace with those. Objects of the whole
+    cluster have none, and no selector of namespaces leaves them out, but for namespaces themselves."""
 
     group: str
     resource: str
     labels: Labels
     namespace: str
-    namespace_labels: Labels
+    namespace_labels: Labels | None
 
 
 @dataclass(frozen=True)
@@ -89,9 +90,11 @@ def _targets(rendering: RenderedChart, namespaces: Mapping[str, Labels]) -> Iter
     for item in rendering.objects:
         place = rendering.namespace_of(item)
         key = (group_of(item), plural(str(item.get("kind"))), place)
-        if place and key not in seen:
+        if key not in seen:
             seen.add(key)
-            yield JudgedObjects(*key[:2], labels_of(item), place, _labels_in(place, rendering, namespaces))
+            around = _labels_in(place, rendering, namespaces) if place else None
+            of_itself = labels_of(item) if item.get("kind") == "Namespace" else None
+            yield JudgedObjects(*key[:2], labels_of(item), place, of_itself or around)
     pods = [(workload.namespace, mapping(workload.template.get("metadata"))) for workload in rendering.workloads]
     for place, metadata in pods:
         yield JudgedObjects(
@@ -148,7 +151,7 @@ def _selected(stated: Mapping[str, Any], target: JudgedObjects) -> bool:
     """Whether both selectors take the target; one that is not understood does."""
     for key, known in (("namespaceSelector", target.namespace_labels), ("objectSelector", target.labels)):
         try:
-            if not selects(read_selector(stated.get(key) or {}, key), known):
+            if known is not None and not selects(read_selector(stated.get(key) or {}, key), known):
                 return False
         except InputError:
             continue
