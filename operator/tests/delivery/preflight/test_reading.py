@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
+from robotkube.delivery.preflight.adapters.calls_at_once import AT_ONCE, at_once
 from robotkube.delivery.preflight.core.findings import Unread
-from robotkube.delivery.preflight.loops.reading import AT_ONCE, FactReading, at_once
+from robotkube.delivery.preflight.loops.reading import FactReading
 from robotkube.errors import InputError
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from robotkube.delivery.preflight.adapters.calls_at_once import at_once
 from robotkube.delivery.preflight.adapters.chart_sources import PlatformChart
 from robotkube.delivery.preflight.adapters.cluster_facts import ClusterFacts
 from robotkube.delivery.preflight.adapters.registry_answers import RegistryQuestions
@@ -16,7 +17,7 @@ from robotkube.delivery.preflight.core import argocd, kinds, owners, rights
 from robotkube.delivery.preflight.core.registries import RegistryAnswer, hosts, service_of
 from robotkube.delivery.preflight.core.renderings import RenderedChart
 from robotkube.delivery.preflight.core.values import Judgement, completed, without_value
-from robotkube.delivery.preflight.loops.reading import FactReading, at_once
+from robotkube.delivery.preflight.loops.reading import FactReading
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.documents.adapters.json_schema import violations
 from robotkube.registry.charts.adapters.helm import LACKING, REFUSED, HelmProgram

@@ -12,6 +12,7 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any
 
+from robotkube.delivery.preflight.adapters.calls_at_once import at_once
 from robotkube.delivery.preflight.adapters.helm_releases import last_revision, selector
 from robotkube.delivery.preflight.core import admission
 from robotkube.delivery.preflight.core.argocd import DEFINITIONS, ArgoCd
@@ -20,7 +21,6 @@ from robotkube.delivery.preflight.core.releases import HelmRevision, PresentObje
 from robotkube.delivery.preflight.core.renderings import Object, labels_of, name_of, plural
 from robotkube.delivery.preflight.core.rights import EVERYTHING, NeededRights, Reviewed
 from robotkube.delivery.preflight.core.storage import Storage
-from robotkube.delivery.preflight.loops.reading import at_once
 from robotkube.errors import InputError, RobotKubeError, UnavailableError
 from robotkube.foundation.documents.core.json_codec import read_json_shortened
 from robotkube.foundation.kubernetes.adapters.access_reviews import may, rules_in

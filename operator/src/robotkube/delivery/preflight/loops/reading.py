@@ -5,17 +5,15 @@ Threads that still wait at the deadline do not keep the process; each of their r
 
 from __future__ import annotations
 
-import queue
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from typing import Any
 
 from robotkube.delivery.preflight.core.findings import Unread
 from robotkube.errors import RobotKubeError, UnavailableError
 
-AT_ONCE = 8
 Clock = Callable[[], float]
 
 
@@ -60,29 +58,5 @@ class FactReading:
             made.set_result(self._readers[name](self))
         except RobotKubeError as error:
             made.set_result(Unread(str(error)))
-        except BaseException as error:
-            made.set_exception(error)
-
-
-def at_once(calls: Sequence[Callable[[], Any]]) -> list[Any]:
-    """The results of these calls in their order, AT_ONCE of them at a time; the first error, when one raises one."""
-    waiting: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]] = queue.SimpleQueue()
-    made: list[Future[Any]] = []
-    for call in calls:
-        made.append(Future())
-        waiting.put((call, made[-1]))
-    for _ in range(min(AT_ONCE, len(calls))):
-        threading.Thread(target=_work, args=(waiting,), name="read at once", daemon=True).start()
-    return [one.result() for one in made]
-
-
-def _work(waiting: queue.SimpleQueue[tuple[Callable[[], Any], Future[Any]]]) -> None:
-    while True:
-        try:
-            call, made = waiting.get_nowait()
-        except queue.Empty:
-            return
-        try:
-            made.set_result(call())
         except BaseException as error:
             made.set_exception(error)
