@@ -10,7 +10,7 @@ from robotkube.delivery.preflight.core.findings import CheckVerdict, Problem
 from robotkube.delivery.preflight.core.renderings import RenderedChart, enabled, group_of
 from robotkube.registry.suites.core.pod_security import mapping
 
-CONSTRAINT = re.compile(r"\s*>=\s*v?([0-9]+)\.([0-9]+)(\.[0-9]+)?(-[0-9A-Za-z.]+)?\s*")
+CONSTRAINT = re.compile(r"\s*>=\s*v?([0-9]+)\.([0-9]+)[0-9.-]*\s*")
 VERSION = re.compile(r"v?([0-9]+)\.([0-9]+)")
 ADMISSION_API = "admissionregistration.k8s.io/v1"
 ADMISSION_KIND = "ValidatingAdmissionPolicy"
