@@ -4,6 +4,8 @@ never ok."""
 from __future__ import annotations
 
 import json
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,7 @@ import pytest
 
 from robotkube.cli.cluster.preflight import shown
 from robotkube.cli.main import EXIT_REFUSED, EXIT_UNREACHABLE, EXIT_USAGE, main
+from robotkube.delivery.preflight import facts
 from robotkube.delivery.preflight.core.checks import CHECKS
 from robotkube.delivery.preflight.core.findings import FAILED, NOT_CHECKED, OK, ClusterFinding, Problem
 from tests.stages.kubernetes.served_objects import FORBIDDEN, serving
@@ -71,6 +74,25 @@ def test_nobody_answers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     out, err = capsys.readouterr()
     assert "failed" not in out
     assert "Connection refused" in err
+
+
+def test_an_api_server_that_never_answers_is_given_up(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(facts, "SECONDS_MAX", 0.3)
+    ended = threading.Event()
+
+    def never(path: str, query: dict[str, list[str]]) -> None:
+        ended.wait(10)
+
+    with serving(never, tmp_path) as kubeconfig:
+        started = time.monotonic()
+        try:
+            assert main(command(tmp_path, kubeconfig)) == EXIT_UNREACHABLE
+        finally:
+            ended.set()
+        assert time.monotonic() - started < 5
+    assert "timed out: version was not read within 0.3 s" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.documents.adapters.json_schema import violations
 from robotkube.registry.charts.adapters.helm import LACKING, REFUSED, HelmProgram
 
-SECONDS_MAX = 8.0
+SECONDS_MAX = 7.0
 RENDERING_SECONDS_MAX = 5.0
 Reader = Callable[[FactReading], Any]
 
