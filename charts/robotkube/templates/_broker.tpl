@@ -21,11 +21,11 @@ queue_qos0_messages false
 # No message is written to disk: bridges resend what was not acknowledged and publish retained messages again when they reconnect.
 persistence false
 sys_interval 0
+# Client ids are secret, and notices name them: whose queue is full, who is disconnected and why.
 connection_messages false
 log_dest stdout
 log_type error
 log_type warning
-log_type notice
 {{- end }}
 
 {{- define "robotkube.brokerPasswords" -}}

@@ -32,7 +32,7 @@ from tests.stages import http_calls
 from tests.stages.attacks import shown
 from tests.stages.delivery.main_of_links import POSE_00, Main, bridge
 from tests.stages.delivery.mqtt_connection import ANSWER_SECONDS_MAX, NOT_AUTHORISED, Connection
-from tests.stages.delivery.rights_broker import PLUGIN, plugin, run_mosquitto
+from tests.stages.delivery.rights_broker import PLUGIN, SETTINGS, plugin, run_mosquitto
 from tests.stages.paths import CHARTS, SOURCE
 from tests.stages.programs import free_port
 from tests.stages.settings_mounted import mounted
@@ -56,6 +56,11 @@ def official(helm: Any) -> Any:
     more = [{"name": name, "role": "vehicle"} for name in ("vehicle-03", "vehicle-07")]
     more += [{"name": "roadside-0", "role": "roadside"}, {"name": "edge-0", "role": "edge"}]
     return helm.template(PLATFORM, profile, agents=[*agents, *more])
+
+
+def logged(configuration: str) -> list[str]:
+    """What a broker says of itself, in its log and as messages."""
+    return [line for line in configuration.splitlines() if line.startswith(("log_", "connection_messages", "sys_"))]
 
 
 @dataclass(frozen=True)
@@ -92,6 +97,7 @@ def broker(official: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
     port = free_port()
     text = files["mosquitto.conf"]
     assert "1883" not in text
+    assert logged(text) == logged(SETTINGS)
     text = text.replace("listener 8883", f"listener {port} 127.0.0.1\nuser root")
     text = text.replace("/etc/mosquitto-tls/", f"{folder}/")
     authority = new_authority("ours", time.time())

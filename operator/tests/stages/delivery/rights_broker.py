@@ -29,7 +29,6 @@ connection_messages false
 log_dest stdout
 log_type error
 log_type warning
-log_type notice
 """
 NAMES = [("vehicle-00", "vehicle"), ("vehicle-01", "vehicle"), ("roadside-0", "roadside"), ("cloud-0", "cloud")]
 ACCOUNTS = Accounts(tuple(AgentAccount(name, role, name) for name, role in NAMES), (ManagerAccount("manager", ("*",)),))
