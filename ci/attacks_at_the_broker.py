@@ -40,6 +40,20 @@ AT_THE_BROKER = (
         ),
     ),
     Attack(
+        "session-taken-over",
+        "Who has one agent's account connects with the client id of another agent's bridge, to end its connection and "
+        "get what waits in its session",
+        BY_CLIENT,
+        NOT_PROPOSED,
+        NOTHING_TO_JUDGE,
+        SAID_OR_HEARD,
+        Refused(
+            "session present 0",
+            "delivery/rights/test_sessions.py::test_who_guesses_the_id_of_a_bridge_gets_no_session_of_it",
+            "the broker, to whoever names an id that he can guess (CONNACK of MQTT 5), and the bridge stays connected",
+        ),
+    ),
+    Attack(
         "rights-changed",
         "Who got the password of the account `rights` gives himself rights, a role or an account at the broker",
         NO_DEMAND,

@@ -17,6 +17,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from robotkube.foundation.certificates.adapters.verification import client_context, sentence
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.core.batches import BatchError, decode_batch
+from robotkube.robots.mqtt.core.client_ids import client_id
 from scenarios.runner.access import Access
 from scenarios.runner.inputs import BrokerLog, BrokerMessages, BrokerResult, Pod
 from scenarios.runner.waiting import RunError
@@ -46,7 +47,9 @@ class BrokerObserver:
 
     def start(self) -> None:
         """Connects and subscribes; raises `RunError` when the broker refuses it."""
-        self._client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id=f"observer-{time.time_ns()}")
+        self._client = mqtt.Client(
+            CallbackAPIVersion.VERSION2, client_id=client_id(f"observer-{time.time_ns()}", self.account.password)
+        )
         self._client.username_pw_set(self.account.username, self.account.password)
         if self.account.tls is not None:
             self._client.tls_set_context(client_context(self.account.tls))

@@ -312,7 +312,8 @@ def test_an_input_that_leads_to_nothing_is_said(answers: tuple[InputResponse, ..
     assert "on ros out /out -> use the input, or correct `causes` of interface input" in words
 
 
-LOG = """\
+OBSERVER_ID = f"suite-abc-{'0' * 32}"
+LOG = f"""\
 1763750000: New connection from 10.0.0.1:34567 on port 1883.
 1763750000: New client connected from 10.0.0.1:34567 as vehicle-00-telemetry (p5, c0, k5, u'suite').
 1763750000: Received SUBSCRIBE from vehicle-00-telemetry
@@ -320,8 +321,8 @@ LOG = """\
 1763750000: vehicle-00-telemetry 1 mqtt/route
 1763750001: Received PUBLISH from vehicle-00-telemetry (d0, q1, r1, m1, 'mqtt/pose', ... (120 bytes))
 1763750001: Received PUBLISH from vehicle-00-telemetry (d0, q0, r0, m0, 'state', ... (2 bytes))
-1763750002: suite-abc 2 #
-1763750002: Received PUBLISH from suite-abc (d0, q1, r0, m3, 'mqtt/route', ... (77 bytes))
+1763750002: {OBSERVER_ID} 2 #
+1763750002: Received PUBLISH from {OBSERVER_ID} (d0, q1, r0, m3, 'mqtt/route', ... (77 bytes))
 """
 
 

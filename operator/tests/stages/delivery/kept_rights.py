@@ -59,8 +59,8 @@ class KeptRights:
     def ready(self) -> None:
         until(lambda: self.keeper.reasons_not_ready() == [], "ready", state=lambda: self.keeper.reasons_not_ready())
 
-    def connect(self, name: str, will: str = "") -> Connection:
-        self.made.append(Connection(self.broker.port, name, password(name), will))
+    def connect(self, name: str, will: str = "", client_id: str = "") -> Connection:
+        self.made.append(Connection(self.broker.port, name, password(name), will, client_id=client_id))
         return self.made[-1]
 
     @contextmanager

@@ -7,17 +7,21 @@ from typing import Any
 
 import paho.mqtt.client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
 
 from robotkube.foundation.certificates.adapters.verification import ServerVerification, client_context
 
 ANSWER_SECONDS_MAX = 30.0
+SESSION_SECONDS = 60
 NOT_AUTHORISED = 135
 NOBODY_HEARS = 16
 
 
 class Connection:
     """One connection: `received` collects messages; publishing and subscribing give the broker's reason code. `will`
-    is a topic on which its last will is published; `tls`: how the broker proves who it is, None: in clear text."""
+    is a topic on which its last will is published; `tls`: how the broker proves who it is, None: in clear text.
+    `client_id`: of a session that is kept for a minute; `session_kept`: whether there was one."""
 
     def __init__(
         self,
@@ -26,14 +30,17 @@ class Connection:
         password: str | None,
         will: str = "",
         tls: ServerVerification | None = None,
+        client_id: str = "",
     ) -> None:
         self.received: list[tuple[str, bytes]] = []
         self.arrived = threading.Condition()
         self.refused: int | None = None
-        self.lost = False
+        self.lost = self.session_kept = False
         self._answers: dict[int, int] = {}
         self._connected = threading.Event()
-        self._client = mqtt.Client(CallbackAPIVersion.VERSION2, protocol=mqtt.MQTTv5, reconnect_on_failure=False)
+        self._client = mqtt.Client(
+            CallbackAPIVersion.VERSION2, client_id, protocol=mqtt.MQTTv5, reconnect_on_failure=False
+        )
         if username is not None:
             self._client.username_pw_set(username, password)
         if tls is not None:
@@ -45,11 +52,14 @@ class Connection:
         self._client.on_message = self._on_message
         self._client.on_publish = lambda _c, _u, mid, code, _p: self._answer(mid, code.value)
         self._client.on_subscribe = lambda _c, _u, mid, codes, _p: self._answer(mid, codes[0].value)
-        self._client.connect("127.0.0.1", port, keepalive=10)
+        session = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
+        session.SessionExpiryInterval = SESSION_SECONDS if client_id else 0
+        self._client.connect("127.0.0.1", port, keepalive=10, clean_start=not client_id, properties=session)
         self._client.loop_start()
         assert self._connected.wait(ANSWER_SECONDS_MAX)
 
-    def _on_connect(self, _client: Any, _data: Any, _flags: Any, code: Any, _properties: Any) -> None:
+    def _on_connect(self, _client: Any, _data: Any, flags: Any, code: Any, _properties: Any) -> None:
+        self.session_kept = bool(flags.session_present)
         self.refused = code.value if code.is_failure else None
         self._connected.set()
 

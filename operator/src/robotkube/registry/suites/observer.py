@@ -100,9 +100,9 @@ def read_config(text: str, where: str) -> Mapping[str, Any]:
     return dict(config)
 
 
-def broker(client_id: str) -> PahoObserver:
+def broker(name: str) -> PahoObserver:
     """Connected to the broker of the mounted Secret."""
-    return PahoObserver(read_broker_account(PodSettings.from_environment().broker_folder), client_id)
+    return PahoObserver(read_broker_account(PodSettings.from_environment().broker_folder), name)
 
 
 def write(observation: Observation) -> None:

@@ -50,9 +50,9 @@ def body(process: Process) -> None:
     channels: dict[str, PahoChannel] = {}
 
     def channel(agent: str, name: str, events: ChannelEvents) -> PahoChannel:
-        client = "-".join([agent, *([pod.placed_node] if pod.placed_node else []), name])
+        connection = "-".join([agent, *([pod.placed_node] if pod.placed_node else []), name])
         account = partial(read_broker_account, pod.broker_folder)  # read anew for each attempt
-        channels[name] = PahoChannel(account, client, SESSION_SECONDS[name], events, bounded=name != SAFETY)
+        channels[name] = PahoChannel(account, connection, SESSION_SECONDS[name], events, bounded=name != SAFETY)
         return channels[name]
 
     sender = SendingSession(session, time.time_ns, definition_of, trace)

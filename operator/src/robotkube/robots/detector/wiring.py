@@ -151,15 +151,15 @@ def make_broker(
     learned: Callable[[str], None],
     note_gap: Callable[[Gap], None],
 ) -> Broker:
-    """The detector's connection to the broker. Its client id is the name of its release, which no bridge has, and of
-    the Node that the release names."""
+    """The detector's connection to the broker. Its name is that of its release, which no bridge has, and of the
+    Node that the release names."""
     from robotkube.robots.detector.loops.broker import Broker
     from robotkube.robots.mqtt.adapters.broker_account import read_broker_account
     from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel
 
-    client = "-".join([name.replace("/", "-"), *([pod.placed_node] if pod.placed_node else [])])
+    connection = "-".join([name.replace("/", "-"), *([pod.placed_node] if pod.placed_node else [])])
     return Broker(
-        lambda events: PahoChannel(lambda: read_broker_account(pod.broker_folder), client, SESSION_SECONDS, events),
+        lambda events: PahoChannel(lambda: read_broker_account(pod.broker_folder), connection, SESSION_SECONDS, events),
         time.time_ns,
         time.monotonic,
         learned,

@@ -13,7 +13,7 @@ from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel, wait
 
-CLIENT_ID = "rights"
+CONNECTION = "rights"
 ANSWER_SECONDS_MAX = 5.0
 SESSION_SECONDS = 0  # answers of before a loss are of no use after it
 
@@ -27,7 +27,7 @@ class DynamicSecurity:
         self._answers: dict[str, Mapping[str, Any]] = {}
         self._asked = 0
         self._refusal = ""
-        self._channel = PahoChannel(account, CLIENT_ID, SESSION_SECONDS, self)
+        self._channel = PahoChannel(account, CONNECTION, SESSION_SECONDS, self)
 
     @property
     def complaint(self) -> str | None:

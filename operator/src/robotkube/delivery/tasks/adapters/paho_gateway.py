@@ -34,6 +34,7 @@ from robotkube.foundation.certificates.adapters.verification import (
     load_authorities,
     sentence,
 )
+from robotkube.robots.mqtt.core.client_ids import client_id
 from robotkube.writes import writes
 
 SESSION_SECONDS = 24 * 3600
@@ -50,7 +51,7 @@ FAILURE = 0x80
 
 
 class PahoGateway:
-    """The port GatewayChannel: the session `client_id` of an account."""
+    """The port GatewayChannel: the session `name` of an account (robots.mqtt.core.client_ids makes its id of it)."""
 
     def __init__(
         self,
@@ -58,7 +59,7 @@ class PahoGateway:
         port: int,
         username: str,
         password: str,
-        client_id: str,
+        name: str,
         tls: ServerVerification | None = None,
         jitter: Random = random.random,
     ) -> None:
@@ -72,8 +73,10 @@ class PahoGateway:
         self._topics: list[str] = []
         self._lock = threading.Lock()
         self._connection = 0
-        self._complaint = f"{client_id}: not connected to the broker yet"
-        client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id, protocol=mqtt.MQTTv5, manual_ack=True)
+        self._complaint = f"{name}: not connected to the broker yet"
+        client = mqtt.Client(
+            CallbackAPIVersion.VERSION2, client_id(name, password), protocol=mqtt.MQTTv5, manual_ack=True
+        )
         client.username_pw_set(username, password)
         self._tls = tls
         self._context = None if tls is None else client_context(tls)

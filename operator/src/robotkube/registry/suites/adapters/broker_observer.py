@@ -14,6 +14,7 @@ from robotkube.errors import UnavailableError
 from robotkube.foundation.certificates.adapters.verification import client_context, sentence
 from robotkube.registry.suites.ports.interfaces import BrokerMessage
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
+from robotkube.robots.mqtt.core.client_ids import client_id
 
 CONNECT_SECONDS_MAX = 10.0
 WAITING_MAX = 5_000
@@ -25,11 +26,13 @@ class PahoObserver:
 
     Own messages do not come back, kept ones of the past neither; QoS and retain flag are those of the publisher."""
 
-    def __init__(self, account: BrokerAccount, client_id: str) -> None:
+    def __init__(self, account: BrokerAccount, name: str) -> None:
         self._waiting: deque[BrokerMessage] = deque(maxlen=WAITING_MAX)
         self._subscribed = threading.Event()
         self._refusal = ""
-        client = mqtt.Client(CallbackAPIVersion.VERSION2, client_id=client_id, protocol=mqtt.MQTTv5)
+        client = mqtt.Client(
+            CallbackAPIVersion.VERSION2, client_id=client_id(name, account.password), protocol=mqtt.MQTTv5
+        )
         client.username_pw_set(account.username, account.password)
         if account.tls is not None:
             client.tls_set_context(client_context(account.tls))

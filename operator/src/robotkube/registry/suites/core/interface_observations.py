@@ -11,6 +11,7 @@ from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.registry.catalogue.core.expected_topics import COMMON_TOPICS, DATABASE, IN, MQTT, OUT, ROS, ExpectedTopic
 from robotkube.registry.evidence.core.statements import Check
+from robotkube.robots.mqtt.core.client_ids import connection_name
 from robotkube.robots.ros.core.graph import Endpoint
 
 CHECKS_MAX = 150
@@ -94,17 +95,17 @@ def _items(reader: Reader, value: Any, key: str) -> list[Mapping[str, Any]]:
 
 
 def with_broker_log(observation: Observation, log: str, observer: str) -> Observation:
-    """The observation with what the broker's log (mosquitto, all kinds of lines) has of other clients than
+    """The observation with what the broker's log (mosquitto, all kinds of lines) has of other connections than
     `observer`: subscriptions, and publications that came before the observer did."""
     publications = dict.fromkeys(observation.publications)
     subscriptions: dict[Subscription, None] = {}
     seen = {(item.topic, item.qos, item.retain) for item in publications}
     for line in log.splitlines():
-        if (match := _PUBLISHED.search(line)) and match[1] != observer:
+        if (match := _PUBLISHED.search(line)) and connection_name(match[1]) != observer:
             key = (match[4], int(match[2]), match[3] == "1")
             if key not in seen:
                 publications[ObservedPublication(*key)] = None
-        elif (match := _SUBSCRIBED.fullmatch(line.strip())) and match[1] != observer:
+        elif (match := _SUBSCRIBED.fullmatch(line.strip())) and connection_name(match[1]) != observer:
             subscriptions[Subscription(match[3], int(match[2]))] = None
     return replace(observation, publications=tuple(publications), subscriptions=tuple(subscriptions))
 

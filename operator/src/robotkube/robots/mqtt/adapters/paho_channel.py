@@ -26,6 +26,7 @@ from robotkube.foundation.certificates.adapters.verification import client_conte
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.adapters.paho_client import QOS, MqttClient, mqtt
 from robotkube.robots.mqtt.adapters.tcp_sockets import SocketBound, socket_state
+from robotkube.robots.mqtt.core.client_ids import client_id
 from robotkube.robots.mqtt.core.packets import PACKET_BYTES_MAX
 from robotkube.robots.mqtt.core.refused_subscriptions import RefusedSubscriptions, advice
 
@@ -49,13 +50,14 @@ PACKET_HEAD_BYTES_MAX = 14  # of a PUBLISH beside topic, properties and payload
 
 
 class PahoChannel:
-    """A connection under `client_id`. `account` is read at every attempt, since passwords may be replaced; the broker
-    keeps the session for `session_seconds` after a loss. `bounded`: its socket takes no more than leaves soon."""
+    """A connection under `name`, of which core.client_ids makes its id. `account` is read at every attempt, since
+    passwords may be replaced; the broker keeps the session for `session_seconds` after a loss. `bounded`: its socket
+    takes no more than leaves soon."""
 
     def __init__(
         self,
         account: Callable[[], BrokerAccount],
-        client_id: str,
+        name: str,
         session_seconds: int,
         events: ChannelEvents,
         jitter: Random = random.random,
@@ -64,7 +66,7 @@ class PahoChannel:
         self._jitter = jitter
         self._socket_bound = SocketBound(bounded)
         self._account = account
-        self._client_id = client_id
+        self._name = name
         self._session_seconds = session_seconds
         self._events = events
         self._client: MqttClient | None = None
@@ -79,7 +81,7 @@ class PahoChannel:
         self._retains = True
         self._rejected: deque[tuple[int, str]] = deque()
         self._up = self._denied = False
-        self.complaint: str | None = f"{client_id}: not connected to the broker yet"
+        self.complaint: str | None = f"{name}: not connected to the broker yet"
 
     def turn(self, now: float) -> None:
         """See the port."""
@@ -179,15 +181,15 @@ class PahoChannel:
         attempt = self._attempt
         self._attempt = None
         if attempt.error is not None:
-            self.complaint = f"{self._client_id}: {attempt.error}"
+            self.complaint = f"{self._name}: {attempt.error}"
             self._lost()
             return
         self._client = attempt.client
         self._denied = False
         self._misc_at = now + MISC_SECONDS
 
-    def _new_client(self) -> MqttClient:
-        client = MqttClient(self._client_id, self._events.received, self._on_acknowledged)
+    def _new_client(self, account: BrokerAccount) -> MqttClient:
+        client = MqttClient(client_id(self._name, account.password), self._events.received, self._on_acknowledged)
         client.connect_timeout = CONNECT_SECONDS_MAX
         client.on_socket_open = self._on_socket
         client.on_socket_register_write = _written_by_turn
@@ -206,7 +208,7 @@ class PahoChannel:
 
     def _on_connect(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
         if client is not self._client or reason.value >= FAILURE:
-            self.complaint = f"{self._client_id}: the broker refuses the connection: {reason}"
+            self.complaint = f"{self._name}: the broker refuses the connection: {reason}"
             self._denied = True
             return
         self._up = True
@@ -225,9 +227,9 @@ class PahoChannel:
             return
         self._client = None
         if self._up:
-            self.complaint = f"{self._client_id}: the connection was lost: {reason}"
+            self.complaint = f"{self._name}: the connection was lost: {reason}"
         elif not self._denied:
-            self.complaint = f"{self._client_id}: {CLOSED}"
+            self.complaint = f"{self._name}: {CLOSED}"
         self._lost()
 
     def _on_acknowledged(self, mid: int, reason: int) -> None:
@@ -262,7 +264,7 @@ class PahoChannel:
 class _Attempt:
     """One connection attempt on a thread of its own, bounded by CONNECT_SECONDS_MAX per address."""
 
-    def __init__(self, new_client: Callable[[], MqttClient], account: Callable[[], BrokerAccount]) -> None:
+    def __init__(self, new_client: Callable[[BrokerAccount], MqttClient], account: Callable[[], BrokerAccount]) -> None:
         self.client: MqttClient | None = None
         self.error: str | None = None
         self._abandoned = False
@@ -289,7 +291,7 @@ class _Attempt:
         client = account = None
         try:
             account = self._account()
-            client = self._new_client()
+            client = self._new_client(account)
             client.username_pw_set(account.username, account.password)
             if account.tls is not None:
                 client.encrypt(client_context(account.tls))
