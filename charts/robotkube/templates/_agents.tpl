@@ -60,8 +60,15 @@ host: {{ include "robotkube.databaseHost" .root }}
 port: {{ include "robotkube.databasePort" .root | quote }}
 {{- end }}
 
+{{- /* An agent's password at the broker: of its name, and of its number once that was raised. Arguments: {root, agent}. */ -}}
+{{- define "robotkube.agentBrokerPassword" -}}
+{{- $number := int (.agent.brokerPasswordNumber | default 0) }}
+{{- $account := gt $number 0 | ternary (printf "%s/%d" .agent.name $number) .agent.name }}
+{{- include "robotkube.password" (dict "root" .root "purpose" "broker" "account" $account) }}
+{{- end }}
+
 {{- define "robotkube.brokerAccount" -}}
 username: {{ .agent.name }}
-password: {{ include "robotkube.password" (dict "root" .root "purpose" "broker" "account" .agent.name) }}
+password: {{ include "robotkube.agentBrokerPassword" . }}
 {{ include "robotkube.brokerEndpoint" .root }}
 {{- end }}

@@ -32,7 +32,7 @@ log_type warning
 observer:{{ include "robotkube.password" (dict "root" . "purpose" "broker" "account" "observer") }}
 rights:{{ include "robotkube.password" (dict "root" . "purpose" "broker" "account" "rights") }}
 {{- range .Values.agents }}
-{{ .name }}:{{ include "robotkube.password" (dict "root" $ "purpose" "broker" "account" .name) }}
+{{ .name }}:{{ include "robotkube.agentBrokerPassword" (dict "root" $ "agent" .) }}
 {{- end }}
 {{- range splitList " " (include "robotkube.managerNames" .) }}
 {{ . }}:{{ include "robotkube.password" (dict "root" $ "purpose" "broker" "account" .) }}

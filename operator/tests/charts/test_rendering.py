@@ -370,6 +370,25 @@ def test_each_agent_has_a_password_of_its_own(official: Any) -> None:
     assert official.one("Secret", "broker-account", "vehicle-00")["stringData"]["password"] in given
 
 
+def test_an_agent_gets_another_password_and_the_others_keep_theirs(helm: Any) -> None:
+    def accounts(**more: int) -> dict[str, str]:
+        profile = PROFILE.with_name("official.yaml")
+        agents = yaml.safe_load(profile.read_text())["agents"]
+        agents = [{**agent, **(more if agent["name"] == "vehicle-00" else {})} for agent in agents]
+        rendered = helm.template(PLATFORM, profile, agents=agents)
+        lines = rendered.one("Secret", "broker-accounts")["stringData"]["passwords"].split()
+        found = dict(line.split(":") for line in lines)
+        for agent in agents:
+            own = rendered.one("Secret", "broker-account", agent["name"])["stringData"]["password"]
+            assert found[agent["name"]] == own
+        return found
+
+    before, same, after = accounts(), accounts(brokerPasswordNumber=0), accounts(brokerPasswordNumber=1)
+    assert before == same
+    assert {name for name in before if before[name] != after[name]} == {"vehicle-00"}
+    assert accounts(brokerPasswordNumber=2)["vehicle-00"] not in (before["vehicle-00"], after["vehicle-00"])
+
+
 def test_another_seed_gives_other_passwords(helm: Any, official: Any) -> None:
     other = helm.template(PLATFORM, PROFILE, secrets={"seed": "another-seed-of-thirty-two-characters"})
     assert not set(passwords(official)) & set(passwords(other))
