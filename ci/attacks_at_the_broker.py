@@ -54,6 +54,19 @@ AT_THE_BROKER = (
         ),
     ),
     Attack(
+        "revoked-comes-back",
+        "Who has the account of an agent that main revokes goes on with his connections, or makes another one",
+        BY_CLIENT,
+        NOT_PROPOSED,
+        NOTHING_TO_JUDGE,
+        SAID_OR_HEARD,
+        Refused(
+            "reason 0x87 of MQTT 5",
+            "delivery/rights/test_revocation.py::test_what_it_has_ends_and_nothing_new_begins",
+            "the broker ends them within 5 s of the merge, and takes none",
+        ),
+    ),
+    Attack(
         "rights-changed",
         "Who got the password of the account `rights` gives himself rights, a role or an account at the broker",
         NO_DEMAND,

@@ -7,6 +7,7 @@ import re
 from robotkube.delivery.deployment.core.policies.edits import read_edits_policy
 from robotkube.delivery.deployment.core.policies.initial import read_initial_policy
 from robotkube.delivery.deployment.core.policies.merge import AUTOMATIC, read_merge_policy
+from robotkube.delivery.deployment.core.policies.revoked import read_revoked
 from robotkube.delivery.deployment.core.policies.updates import read_update_policy
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.registry.catalogue.core.applications import read_application
@@ -28,6 +29,7 @@ def test_every_policy_on_the_page_can_be_read() -> None:
     merge = read_merge_policy(found.pop("policies/merge.yaml"))
     assert merge.way_of_plan("manager-north", ["releases/vehicle-01/a.yaml"]) == AUTOMATIC
     assert read_update_policy(found.pop("policies/updates.yaml")).charts["object-detection"].first == ("vehicle-02",)
+    assert read_revoked(found.pop("policies/revoked.yaml")) == {"vehicle-07": "its computer was stolen"}
     assert read_edits_policy(found.pop("policies/edits.yaml")) == "revert"
     assert found == {}
 

@@ -412,6 +412,14 @@ PEOPLE: dict[str, tuple[dict[str, str], str]] = {
         {"policies/merge.yaml": "automatic: [{author: manager}]\n"},
         "policies/merge.yaml: automatic[0].paths: missing",
     ),
+    "nobody's account": (
+        {"policies/revoked.yaml": "revoked: [{agent: vehicle-99, reason: stolen}]\n"},
+        "policies/revoked.yaml: revoked[0].agent: no agent vehicle-99 is declared; there are: ",
+    ),
+    "no reason": (
+        {"policies/revoked.yaml": "revoked: [{agent: cloud-0}]\n"},
+        "policies/revoked.yaml: revoked[0].reason: missing",
+    ),
     "nothing": ({}, "the commit changes nothing"),
 }
 
@@ -423,7 +431,9 @@ def test_what_people_propose_is_checked_in_the_same_way(case: str) -> None:
 
 
 def test_people_may_touch_everything_and_need_no_trailers() -> None:
-    after = {**files(BRIDGE), "policies/initial.yaml": INITIAL, "README.md": "x", "bootstrap/x.yaml": "a: 1"}
+    revoked = "revoked: [{agent: cloud-0, reason: stolen}]"
+    policies = {"policies/initial.yaml": INITIAL, "policies/revoked.yaml": revoked}
+    after = {**files(BRIDGE), **policies, "README.md": "x", "bootstrap/x.yaml": "a: 1"}
     assert of_person({}, after) == ""
 
 

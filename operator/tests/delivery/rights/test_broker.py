@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -256,10 +255,8 @@ def test_a_change_that_is_made_meanwhile_is_put_right(
     restored = stage.keeper.restored
     monkeypatch.setattr(keeping, "CHECK_SECONDS", 0.3)
     stage.keeper.wake()
-    hand = stage.connect("rights")
     acls = [{"acltype": "publishClientSend", "topic": "mqtt/#", "allow": True}]
-    request = {"commands": [{"command": "modifyRole", "rolename": "vehicle-00", "acls": acls}]}
-    hand.say(REQUESTS, json.dumps(request).encode())
+    stage.tamper({"command": "modifyRole", "rolename": "vehicle-00", "acls": acls})
     until(lambda: stage.keeper.restored == restored + 1, "it is put right")
     until(lambda: stage.connect("vehicle-00").publish(MQTT_01) == NOT_AUTHORISED, "the right is gone")
     assert "rights restored about=vehicle-00 was='besides publishClientSend mqtt/#" in caplog.text

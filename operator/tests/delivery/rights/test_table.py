@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robotkube.delivery.deployment.core.policies.revoked import write_revoked
 from robotkube.delivery.deployment.core.releases import Release, read_tree
 from robotkube.delivery.rights.core.accounts import OWNER, READ, WRITE, Right, fixed_rights
 from robotkube.delivery.rights.core.control import DEFAULTS, Client, Password, Standing, first_file, wanted_roles
-from robotkube.delivery.rights.core.differences import foreign_changes, missing, role_changes
+from robotkube.delivery.rights.core.differences import access_changes, foreign_changes, missing, role_changes
 from robotkube.delivery.rights.core.grants import MainTable, granted, main_table
 from robotkube.robots.bridge.core.rights import IN, OUT, may, may_anybody
 from robotkube.robots.bridge.core.settings import GATEWAY_TOPICS
@@ -23,8 +24,8 @@ FIXED = fixed_rights(ACCOUNTS)
 ROLES = wanted_roles(FIXED)
 
 
-def table(*releases: Release, before: MainTable | None = None) -> MainTable:
-    return main_table("c" * 40, read_tree(texts(*releases)), ACCOUNTS, before)
+def table(*releases: Release, before: MainTable | None = None, revoked: str | None = None) -> MainTable:
+    return main_table("c" * 40, read_tree(texts(*releases)), ACCOUNTS, before, revoked)
 
 
 def given_to(agent: str, main: MainTable) -> set[str]:
@@ -198,7 +199,6 @@ def test_rights_change_by_whole_lists_and_nothing_else() -> None:
         ({"clients": {**CLIENTS, "x": Client(("x",))}}, "deleteClient", "an account that is not ours"),
         ({"clients": {**CLIENTS, "cloud-0": Client(("cloud-0", "x"))}}, "modifyClient", "the roles cloud-0, x"),
         ({"clients": {**CLIENTS, "cloud-0": Client(("cloud-0",), ("g",))}}, "modifyClient", "group g"),
-        ({"clients": {**CLIENTS, "cloud-0": Client(("cloud-0",), (), True)}}, "enableClient", "disabled"),
     ],
 )
 def test_what_only_another_hand_can_have_done(changed: Mapping[str, Any], command: str, was: str) -> None:
@@ -206,6 +206,50 @@ def test_what_only_another_hand_can_have_done(changed: Mapping[str, Any], comman
     [change] = foreign_changes(standing, ROLES)
     assert change.request["command"] == command
     assert was in change.was
+
+
+def test_who_is_revoked_has_no_rights_and_a_shut_account() -> None:
+    main = table(bridge("vehicle-00", POSE_01), revoked=write_revoked({"vehicle-00": "stolen"}))
+    assert main.table == {**FIXED, "vehicle-00": frozenset()}
+    assert (main.revoked, main.problems) == ({"vehicle-00": "stolen"}, ())
+    assert table(bridge("vehicle-00", POSE_01)).table["vehicle-00"] > FIXED["vehicle-00"]
+
+
+@pytest.mark.parametrize(
+    ("shut", "revoked", "requests"),
+    [
+        ((), (), []),
+        ((), ("cloud-0",), [("disableClient", "cloud-0", "an account that was open")]),
+        (("cloud-0",), ("cloud-0",), []),
+        (("cloud-0",), (), [("enableClient", "cloud-0", "an account that was disabled")]),
+        (("cloud-0", "vehicle-00"), ("vehicle-00", "x"), [("enableClient", "cloud-0", "an account that was disabled")]),
+        (("cloud-0",), None, []),
+    ],
+)
+def test_accounts_are_shut_as_main_says(shut: Sequence[str], revoked: Sequence[str] | None, requests: object) -> None:
+    standing = Standing(ROLES, {**CLIENTS, **{name: Client((name,), (), True) for name in shut}})
+    changes = access_changes(standing, ROLES, revoked)
+    assert [(one.request["command"], one.request["username"], one.was) for one in changes] == requests
+
+
+def test_a_policy_that_cannot_be_read_lets_nobody_in_again() -> None:
+    first = table(revoked=write_revoked({"vehicle-00": "stolen"}))
+    broken = table(revoked="revoked: [{agent: vehicle-00}]", before=first)
+    assert broken.revoked == first.revoked
+    assert broken.table["vehicle-00"] == frozenset()
+    assert broken.problems == (
+        "policies/revoked.yaml: revoked[0].reason: missing; who is revoked stays so until it is mended or gone",
+    )
+    assert table(revoked="no policy").revoked is None  # nothing is known: whoever is shut stays so
+    assert table(before=broken).revoked == {}
+
+
+def test_an_agent_that_is_not_declared_is_named() -> None:
+    main = table(revoked=write_revoked({"vehicle-000": "mistyped", "rights": "not an agent"}))
+    assert (main.revoked, main.table) == ({}, FIXED)
+    assert [problem.split(";")[0] for problem in main.problems] == [
+        f"policies/revoked.yaml: no agent {name} is declared" for name in ("rights", "vehicle-000")
+    ]
 
 
 def test_an_account_that_is_gone_cannot_be_made_here() -> None:
@@ -219,8 +263,11 @@ def test_the_first_file_keeps_lists_and_makes_accounts_anew() -> None:
     before["roles"].append({"rolename": "stranger", "acls": []})
     [own] = [role for role in before["roles"] if role["rolename"] == OWNER]
     own["acls"] = []
+    for client in before["clients"]:
+        client["disabled"] = client["username"] in ("vehicle-01", OWNER)
     anew = {name: Password("another", "salt", 101) for name in ROLES}
     file = first_file(FIXED, anew, before)
     assert file["roles"] == first_file(main.table, anew, None)["roles"]
     assert {client["password"] for client in file["clients"]} == {"another"}
+    assert [client["username"] for client in file["clients"] if client.get("disabled")] == ["vehicle-01"]
     assert first_file(FIXED, anew, {"roles": "broken"}) == first_file(FIXED, anew, None)

@@ -1,15 +1,18 @@
-"""A broker whose rights are kept to a main in memory, by the process's own loops."""
+"""A broker whose rights are kept to a main, by the process's own loops."""
 
 from __future__ import annotations
 
+import json
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from robotkube.delivery.deployment.core.releases import Release
 from robotkube.delivery.rights.adapters.dynamic_security import DynamicSecurity
+from robotkube.delivery.rights.core.control import REQUESTS
 from robotkube.delivery.rights.loops.keeper import Keeper
 from robotkube.delivery.rights.loops.main_follower import MainFollower
 from tests.stages.delivery.main_of_links import Main
@@ -19,11 +22,11 @@ from tests.stages.waiting import until
 
 
 class KeptRights:
-    """A broker, main, and the process's loops between them."""
+    """A broker, main, and the process's loops between them. `main`: in memory, unless there is another one."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, main: Any = None) -> None:
         self.broker = RightsBroker(folder)
-        self.main = Main()
+        self.main = main or Main()
         self.made: list[Connection] = []
         self.broker.start()
         self.begin()
@@ -48,9 +51,10 @@ class KeptRights:
         for thread in self._threads:
             thread.join(10)
 
-    def merge(self, *releases: Release) -> float:
-        """Main has these releases and no others; the seconds until the broker had its table."""
-        tip = self.main.put(*releases)
+    def merge(self, *releases: Release, revoked: Mapping[str, str] | None = None) -> float:
+        """Main has these releases and no others, and revokes these agents; the seconds until the broker had its
+        table."""
+        tip = self.main.put(*releases, revoked=revoked)
         begun = time.monotonic()
         self.follower.wake(tip)
         until(lambda: self.keeper.applied == tip, "the table", state=lambda: self.keeper.reasons_not_ready())
@@ -62,6 +66,10 @@ class KeptRights:
     def connect(self, name: str, will: str = "", client_id: str = "") -> Connection:
         self.made.append(Connection(self.broker.port, name, password(name), will, client_id=client_id))
         return self.made[-1]
+
+    def tamper(self, *commands: Mapping[str, Any]) -> None:
+        """Somebody else who has the owner's password, while the process is at work."""
+        self.connect("rights").say(REQUESTS, json.dumps({"commands": commands}).encode())
 
     @contextmanager
     def other_hand(self) -> Iterator[DynamicSecurity]:

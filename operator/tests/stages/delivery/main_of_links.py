@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from robotkube.delivery.deployment.core.policies.revoked import PATH as REVOKED_PATH
+from robotkube.delivery.deployment.core.policies.revoked import write_revoked
 from robotkube.delivery.deployment.core.releases import Release, chart_of, source_of, write_release, write_source
 from robotkube.errors import UnavailableError
 
@@ -34,15 +36,17 @@ def texts(*releases: Release) -> dict[str, str]:
 
 
 class Main:
-    """The port MainHistory. `put` makes a commit that has these releases and no others."""
+    """The port MainHistory. `put` makes a commit that has these releases and no others, and revokes these agents (with
+    the reason of each)."""
 
     def __init__(self, *releases: Release) -> None:
         self.commits: list[Mapping[str, str]] = []
         self.away = False
         self.put(*releases)
 
-    def put(self, *releases: Release) -> str:
-        return self.put_files(texts(*releases))
+    def put(self, *releases: Release, revoked: Mapping[str, str] | None = None) -> str:
+        policies = {} if revoked is None else {REVOKED_PATH: write_revoked(revoked)}
+        return self.put_files({**texts(*releases), **policies})
 
     def put_files(self, files: Mapping[str, str]) -> str:
         self.commits.append(files)

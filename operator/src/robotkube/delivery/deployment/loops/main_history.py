@@ -24,6 +24,13 @@ def release_files(repository: MainHistory, commit: str) -> dict[str, str]:
     }
 
 
+def policy_text(repository: MainHistory, commit: str, path: str) -> str | None:
+    """The text of a policy in a commit, None when it is not there; of one that is no text, what nobody can read."""
+    folders = [path.rpartition("/")[0]]
+    irregular = NOT_TEXT if path in repository.irregular(commit, folders) else None
+    return repository.files(commit, folders).get(path, irregular)
+
+
 def older_files(repository: MainHistory) -> Iterator[Mapping[str, str]]:
     """The same files in the commits before main's tip, newest first, at most HISTORY_COMMITS_MAX."""
     for index, (commit, _) in enumerate(repository.headers("", HISTORY_COMMITS_MAX + 1)):

@@ -19,6 +19,8 @@ from robotkube.delivery.deployment.core.policies.initial import PATH as INITIAL_
 from robotkube.delivery.deployment.core.policies.initial import read_initial_policy
 from robotkube.delivery.deployment.core.policies.merge import PATH as MERGE_PATH
 from robotkube.delivery.deployment.core.policies.merge import read_merge_policy
+from robotkube.delivery.deployment.core.policies.revoked import PATH as REVOKED_PATH
+from robotkube.delivery.deployment.core.policies.revoked import read_revoked
 from robotkube.delivery.deployment.core.policies.updates import PATH as UPDATES_PATH
 from robotkube.delivery.deployment.core.policies.updates import read_update_policy
 from robotkube.delivery.deployment.core.releases import RELEASES, SOURCES, Release, TaskCause, Tree
@@ -285,6 +287,8 @@ def _policy(path: str, text: str | None, rules: Rules) -> Iterable[str]:
         yield from _initial(path, text, rules)
     elif path == UPDATES_PATH:
         read_update_policy(text, path)
+    elif path == REVOKED_PATH:
+        yield from _revoked(path, text, rules)
     else:
         read_mapping(text, path)
 
@@ -301,6 +305,13 @@ def _initial(path: str, text: str, rules: Rules) -> Iterable[str]:
         parameters = with_defaults(application.parameters, addition.parameters)
         problems = rules.validate(application.parameters, parameters, f"add[{index}].parameters")
         yield from (f"{path}: {problem}" for problem in problems)
+
+
+def _revoked(path: str, text: str, rules: Rules) -> Iterable[str]:
+    for index, agent in enumerate(read_revoked(text, path)):
+        if agent not in rules.namespaces | rules.others:
+            known = ", ".join(sorted(rules.namespaces | rules.others)) or "none"
+            yield f"{path}: revoked[{index}].agent: no agent {agent} is declared; there are: {known}"
 
 
 def message_problems(message: CommitMessage, proposal: ProposedCommit) -> tuple[str, ...]:

@@ -74,19 +74,20 @@ def role_document(name: str, listed: Iterable[Entry]) -> dict[str, Any]:
 
 def first_file(table: Table, passwords: Mapping[str, Password], before: Any) -> dict[str, Any]:
     """The file that the broker begins with: accounts and passwords anew, and of those that are still there the lists
-    that they had `before`, if they had any; the owner's is always anew."""
-    had = _roles_of(before)
+    that they had `before`, if they had any, and whether they were shut; the owner's is always anew."""
+    had, shut = _roles_of(before), _shut_in(before)
     roles = wanted_roles(table)
     kept = {name: had[name] for name in roles if name in had and name != OWNER}
     return {
         "defaultACLAccess": DEFAULTS,
-        "clients": [_client(name, passwords[name]) for name in sorted(roles)],
+        "clients": [_client(name, passwords[name], name in shut) for name in sorted(roles)],
         "roles": [role_document(name, kept.get(name, listed)) for name, listed in sorted(roles.items())],
     }
 
 
-def _client(name: str, password: Password) -> dict[str, Any]:
+def _client(name: str, password: Password, shut: bool) -> dict[str, Any]:
     return {
+        **({"disabled": True} if shut and name != OWNER else {}),
         "username": name,
         "password": password.digest,
         "salt": password.salt,
@@ -101,6 +102,14 @@ def _roles_of(document: Any) -> Mapping[str, frozenset[Entry]]:
         return _read_roles(document["roles"])
     except (KeyError, TypeError, AttributeError):
         return {}
+
+
+def _shut_in(document: Any) -> frozenset[str]:
+    """The accounts that are shut in a file of the plugin; none when it is not one."""
+    try:
+        return frozenset(one["username"] for one in document["clients"] if one.get("disabled"))
+    except (KeyError, TypeError, AttributeError):
+        return frozenset()
 
 
 def _read_roles(items: Sequence[Document]) -> dict[str, frozenset[Entry]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,6 +62,19 @@ def foreign_changes(standing: Standing, wanted: Mapping[str, frozenset[Entry]]) 
         yield RightsChange({"command": "deleteRole", "rolename": role}, role, "a role that is not ours")
 
 
+def access_changes(standing: Standing, wanted: Collection[str], revoked: Collection[str] | None) -> list[RightsChange]:
+    """Accounts that stand open though they are revoked, whose connections end by this, and those that are shut though
+    they are not. None are changed while it is not known who is `revoked`."""
+    if revoked is None:
+        return []
+    changes = []
+    for name in sorted(set(wanted) & set(standing.clients)):
+        if standing.clients[name].disabled != (name in revoked):
+            command, was = ("disableClient", "open") if name in revoked else ("enableClient", "disabled")
+            changes.append(RightsChange({"command": command, "username": name}, name, f"an account that was {was}"))
+    return changes
+
+
 def missing(standing: Standing, wanted: Mapping[str, frozenset[Entry]]) -> list[str]:
     """Accounts that the broker does not have: their passwords are with its pod alone, which makes accounts anew when it
     starts."""
@@ -76,8 +89,6 @@ def _client_changes(name: str, client: Client, ours: bool) -> Iterator[RightsCha
         held = ", ".join((*client.roles, *(f"group {group}" for group in client.groups))) or "none"
         request = {"command": "modifyClient", "username": name, "roles": [{"rolename": name}], "groups": []}
         yield RightsChange(request, name, f"an account with the roles {held}")
-    if client.disabled:
-        yield RightsChange({"command": "enableClient", "username": name}, name, "an account that was disabled")
 
 
 def _compared(had: frozenset[Entry], wanted: frozenset[Entry]) -> str:

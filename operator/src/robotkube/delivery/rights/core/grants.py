@@ -14,8 +14,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from robotkube.delivery.deployment.core.policies.revoked import PATH as REVOKED_PATH
+from robotkube.delivery.deployment.core.policies.revoked import read_revoked
 from robotkube.delivery.deployment.core.releases import RELEASES, Release, Tree
 from robotkube.delivery.rights.core.accounts import READ, Accounts, Right, Table, fixed_rights, with_types
+from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.patterns import MQTT_TOPIC, ROS_TOPIC_PATTERN
 from robotkube.robots.bridge.core.settings import GATEWAY_TOPICS, BridgedTopic
 from robotkube.robots.ros.core.topic_patterns import AGENT
@@ -95,17 +98,21 @@ def _filter(item: Any) -> str:
 
 @dataclass(frozen=True)
 class MainTable:
-    """The rights at one commit of main: the table, and what gave its variable part, by the release's path."""
+    """The rights at one commit of main: the table, and what gave its variable part, by the release's path. `revoked`:
+    agents that may not be at the broker, each with the reason; None: the file that says it could never be read."""
 
     commit: str
     table: Table
     granted: Mapping[str, Granted] = field(default_factory=dict)
     problems: tuple[str, ...] = ()
+    revoked: Mapping[str, str] | None = field(default_factory=dict)
 
 
-def main_table(commit: str, tree: Tree, accounts: Accounts, before: MainTable | None) -> MainTable:
-    """The table at a commit. A release file that cannot be read keeps what it gave `before`: it is broken, and not
-    withdrawn."""
+def main_table(
+    commit: str, tree: Tree, accounts: Accounts, before: MainTable | None, revoked_text: str | None = None
+) -> MainTable:
+    """The table at a commit; `revoked_text` is that of policies/revoked.yaml. A file that cannot be read keeps what it
+    said `before`: it is broken, and not withdrawn. Who is revoked has no rights."""
     known = before.granted if before else {}
     broken = [path for path in tree.suspects if path.startswith(f"{RELEASES}/") and path not in tree.releases]
     kept = {path: known[path] for path in broken if path in known}
@@ -114,6 +121,22 @@ def main_table(commit: str, tree: Tree, accounts: Accounts, before: MainTable | 
     for one in every.values():
         for grant in one.grants:
             table[grant.agent] |= grant.rights
+    revoked, wrong = _revoked(revoked_text, accounts, before)
+    table |= dict.fromkeys(revoked or (), frozenset())
     unreadable = (f"{path}: cannot be read; what it gave before stays, until it is mended or gone" for path in broken)
-    problems = (*unreadable, *(text for one in every.values() for text in one.problems))
-    return MainTable(commit, table, {path: one for path, one in every.items() if one.grants or one.problems}, problems)
+    problems = (*unreadable, *wrong, *(text for one in every.values() for text in one.problems))
+    given = {path: one for path, one in every.items() if one.grants or one.problems}
+    return MainTable(commit, table, given, problems, revoked)
+
+
+def _revoked(
+    text: str | None, accounts: Accounts, before: MainTable | None
+) -> tuple[Mapping[str, str] | None, tuple[str, ...]]:
+    """Who is revoked, and what is wrong with that."""
+    try:
+        named = {} if text is None else read_revoked(text)
+    except DocumentError as error:
+        return before.revoked if before else None, (f"{error}; who is revoked stays so until it is mended or gone",)
+    agents = {agent.name for agent in accounts.agents}
+    wrong = (f"{REVOKED_PATH}: no agent {name} is declared; nobody is revoked by it" for name in named.keys() - agents)
+    return {name: reason for name, reason in named.items() if name in agents}, tuple(sorted(wrong))

@@ -1,10 +1,13 @@
-"""Which commit of main gave each right that stands: the last one before which the release did not give it."""
+"""Which commit of main gave each right that stands, and which revoked whom: the last one before which main did not say
+so."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from robotkube.delivery.deployment.core.policies.revoked import PATH as REVOKED_PATH
+from robotkube.delivery.deployment.core.policies.revoked import read_revoked
 from robotkube.delivery.deployment.core.releases import RELEASES, read_release
 from robotkube.delivery.rights.core.accounts import Accounts, AgentAccount
 from robotkube.delivery.rights.core.grants import Grant, granted
@@ -18,6 +21,30 @@ class Origin:
 
     grant: Grant
     commit: HistoryCommit
+
+
+@dataclass(frozen=True)
+class Revocation:
+    """Why an agent may not be at the broker, and the commit that says so."""
+
+    reason: str
+    commit: HistoryCommit
+
+
+def revocations(commits: Iterable[HistoryCommit]) -> dict[str, Revocation]:
+    """Who is revoked at the last of main's commits (oldest first); a file that cannot be read changes nothing, as at
+    the broker."""
+    standing: dict[str, Revocation] = {}
+    for commit in commits:
+        if REVOKED_PATH in commit.changes:
+            text = commit.changes[REVOKED_PATH]
+            try:
+                named = {} if text is None else read_revoked(text)
+            except DocumentError:
+                continue
+            since = {agent: standing[agent].commit if agent in standing else commit for agent in named}
+            standing = {agent: Revocation(reason, since[agent]) for agent, reason in named.items()}
+    return standing
 
 
 def origins(commits: Iterable[HistoryCommit], agent: AgentAccount) -> list[Origin]:

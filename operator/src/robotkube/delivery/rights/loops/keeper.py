@@ -8,7 +8,15 @@ from collections.abc import Callable, Mapping, Sequence
 
 from robotkube.delivery.rights.core.accounts import Accounts, fixed_rights
 from robotkube.delivery.rights.core.control import STATE, Entry, Standing, read_standing, role_pages, wanted_roles
-from robotkube.delivery.rights.core.differences import RightsChange, foreign_changes, missing, never_given, role_changes
+from robotkube.delivery.rights.core.differences import (
+    RightsChange,
+    access_changes,
+    foreign_changes,
+    missing,
+    never_given,
+    role_changes,
+)
+from robotkube.delivery.rights.core.grants import MainTable
 from robotkube.delivery.rights.loops.main_follower import MainFollower
 from robotkube.delivery.rights.ports import BrokerControl
 from robotkube.errors import RobotKubeError, UnavailableError
@@ -42,6 +50,7 @@ class Keeper:
         self._due = 0.0
         self._connections = 0
         self._written: Roles = {}  # what this process gave the broker, empty before that
+        self._shut: Mapping[str, str] | None = None  # whom it shut out, as main said then
         self.applied = ""  # the commit whose table stands at the broker
         self.problem = ""
         self.applied_seconds = 0.0
@@ -93,12 +102,14 @@ class Keeper:
         connections = self._control.connections
         standing = self._standing()
         lists, foreign = role_changes(standing, wanted), list(foreign_changes(standing, wanted))
+        access = access_changes(standing, wanted, main.revoked)
         self._tell(standing, wanted, foreign, again)
-        if lists or foreign:
-            self._control.ask([change.request for change in (*foreign, *lists)])
+        if lists or foreign or access:
+            self._control.ask([change.request for change in (*foreign, *lists, *access)])
             self.writes += 1
         self._connections = connections
         self._written = wanted
+        self._note_access(main)
         absent = missing(standing, wanted)
         if absent:
             raise UnavailableError(
@@ -117,6 +128,15 @@ class Keeper:
         self.applied = commit
         log.info("rights applied commit=%s accounts=%d", commit[:12], len(lists))
 
+    def _note_access(self, main: MainTable) -> None:
+        """Say who is shut out from now on, and who no more."""
+        before, now = self._shut or {}, main.revoked or {}
+        for agent in sorted(now.keys() - before.keys()):
+            log.warning("account revoked agent=%s commit=%s reason=%r", agent, main.commit[:12], now[agent])
+        for agent in sorted(before.keys() - now.keys()):
+            log.info("account restored agent=%s commit=%s", agent, main.commit[:12])
+        self._shut = main.revoked
+
     def _standing(self) -> Standing:
         state = self._control.ask(STATE)
         count = len(state[0].get("data", {}).get("roles", ()))
@@ -132,7 +152,8 @@ class Keeper:
         begun_anew = again and all(standing.roles.get(name) == listed for name, listed in self._first.items())
         lists: Sequence[RightsChange] = ()
         if self._written:
-            lists = () if begun_anew else role_changes(standing, self._written)
+            given = (*role_changes(standing, self._written), *access_changes(standing, self._written, self._shut))
+            lists = () if begun_anew else given
         else:  # main may have moved while this process was away
             lists = never_given(standing, wanted)
         for change in (*foreign, *lists):
@@ -163,10 +184,13 @@ class Keeper:
         behind = "1 while the broker does not have main's table as main was seen or announced last, else 0."
         unconfirmed = "Seconds since the table was last known to be that of main."
         applied = "Seconds from main's last announcement until the broker had its table."
+        shut = "Agents that main says may not be at the broker."
+        revoked = float(len(main.revoked or ())) if main else 0.0
         restored = "Rights, accounts and roles that somebody else had changed, put right."
         counts: dict[tuple[str, ...], float] = {("main",): float(follower.failed), ("broker",): float(self.failed)}
         return (
             Series(f"{prefix}granted", "gauge", "Topics that releases on main give to read.", {(): float(listed)}),
+            Series(f"{prefix}revoked", "gauge", shut, {(): revoked}),
             Series(f"{prefix}behind", "gauge", behind, {(): float(bool(self.reasons_not_ready()))}),
             Series(f"{prefix}unconfirmed_seconds", "gauge", unconfirmed, {(): follower.unconfirmed_seconds}),
             Series(f"{prefix}applied_seconds", "gauge", applied, {(): self.applied_seconds}),
