@@ -1,4 +1,5 @@
-"""The command `robotkube agent rights`: each right with the release and the commit that gave it."""
+"""The commands `robotkube agent list` and `agent rights`: who is revoked, and each right with the release and the
+commit that gave it."""
 
 from __future__ import annotations
 
@@ -8,10 +9,19 @@ from typing import Any
 
 import pygit2
 import pytest
+import yaml
 
+from robotkube.cli.agents.accounts import rows
 from robotkube.cli.main import main
+from robotkube.cli.platform import AGENT_LABEL
+from robotkube.delivery.deployment.core.policies.revoked import PATH as REVOKED_PATH
+from robotkube.delivery.deployment.core.policies.revoked import write_revoked
 from robotkube.delivery.deployment.core.releases import Release
+from robotkube.delivery.rights.core.origins import revocations
+from robotkube.foundation.forge.adapters.git import GitHistory
 from tests.stages.delivery.main_of_links import POSE_00, POSE_01, bridge, texts
+from tests.stages.delivery.rights_broker import ACCOUNTS
+from tests.stages.kubernetes.api_calls import Api
 
 SIGNATURE = pygit2.Signature("manager", "manager@forge.invalid", 1_795_000_000, 0)
 
@@ -75,3 +85,79 @@ def test_a_file_that_cannot_be_read_takes_nothing_away(
 def test_without_a_cluster_the_role_is_needed(repository: Repository, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["agent", "rights", "vehicle-00", "--clone", str(repository.folder)]) == 2
     assert "give the agent's --role" in capsys.readouterr().err
+
+
+# -- agents and their accounts -----------------------------------------------------------------------------------------
+
+STOLEN = {"vehicle-00": "its computer was stolen"}
+
+
+def node(name: str, agent: str, ready: str) -> dict[str, Any]:
+    conditions = [{"type": "MemoryPressure", "status": "True"}, {"type": "Ready", "status": ready}]
+    return {"metadata": {"name": name, "labels": {AGENT_LABEL: agent}}, "status": {"conditions": conditions}}
+
+
+def lease(name: str, time: str) -> dict[str, Any]:
+    return {"metadata": {"name": name}, "spec": {"renewTime": time}}
+
+
+def test_an_agent_has_an_account_and_what_its_nodes_say(repository: Repository) -> None:
+    repository.merge("begin")
+    commit = repository.merge("shut it", **{REVOKED_PATH: write_revoked(STOLEN)})
+    repository.merge("and another", **{REVOKED_PATH: write_revoked({**STOLEN, "cloud-0": "odd"})})
+    nodes = [
+        node("vehicle-00-a", "vehicle-00", "True"),
+        node("vehicle-00-b", "vehicle-00", "Unknown"),
+        node("v1", "vehicle-01", "False"),
+    ]
+    leases = [
+        lease("vehicle-00-b", "2026-11-26T10:00:09.000000Z"),
+        lease("vehicle-00-a", "2026-11-26T10:00:01.500000Z"),
+        lease("other", "2027-01-01T00:00:00.000000Z"),
+    ]
+    found = rows(ACCOUNTS.agents, revocations(GitHistory(repository.folder).commits({})), nodes, leases)
+    assert [row["agent"] for row in found] == ["cloud-0", "roadside-0", "vehicle-00", "vehicle-01"]
+    vehicle, other = found[2], found[3]
+    assert vehicle == {
+        **{"agent": "vehicle-00", "role": "vehicle", "namespace": "vehicle-00", "account": "revoked"},
+        **{"reason": "its computer was stolen", "by": "manager", "commit": commit},
+        **{"nodes": 2, "ready": 1, "seen": "2026-11-26T10:00:09Z"},
+    }
+    assert (other["account"], other["nodes"], other["ready"], other["seen"]) == ("open", 1, 0, "")
+
+
+def test_who_is_restored_or_whose_file_is_broken(repository: Repository) -> None:
+    repository.merge("begin", **{REVOKED_PATH: write_revoked(STOLEN)})
+    repository.merge("broken", **{REVOKED_PATH: "revoked: stolen"})
+    assert set(revocations(GitHistory(repository.folder).commits({}))) == {"vehicle-00"}
+    repository.merge("gone")
+    assert revocations(GitHistory(repository.folder).commits({})) == {}
+    again = repository.merge("again", **{REVOKED_PATH: write_revoked(STOLEN)})
+    [one] = revocations(GitHistory(repository.folder).commits({})).values()
+    assert one.commit.id[:12] == again
+
+
+def test_a_revoked_agent_has_no_rights(repository: Repository, capsys: pytest.CaptureFixture[str]) -> None:
+    repository.merge("begin", bridge("vehicle-00", POSE_01), **{REVOKED_PATH: write_revoked(STOLEN)})
+    assert shown(repository, capsys, "vehicle-00", "vehicle") == []
+    assert main(["agent", "rights", "vehicle-00", "--role", "vehicle", "--clone", str(repository.folder)]) == 0
+    assert capsys.readouterr().out.startswith("vehicle-00 is revoked by commit ")
+
+
+@pytest.mark.toolchain
+@pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")
+def test_agents_of_a_cluster(manager_api: Api, repository: Repository, capsys: pytest.CaptureFixture[str]) -> None:
+    """Settings, Nodes and leases as a real API server has them."""
+    where = "/api/v1/namespaces/robotkube/configmaps"
+    agents = [{"name": agent.name, "role": agent.role, "namespace": agent.namespace} for agent in ACCOUNTS.agents]
+    settings = {"config.yaml": yaml.safe_dump({"agents": agents, "managers": []})}
+    manager_api.post(where, {"metadata": {"name": "rights"}, "data": settings})
+    repository.merge("begin", **{REVOKED_PATH: write_revoked(STOLEN)})
+    command = ["agent", "list", "--clone", str(repository.folder), "--kubeconfig", str(manager_api.kubeconfig)]
+    try:
+        assert main([*command, "-o", "json"]) == 0
+    finally:
+        manager_api.delete(f"{where}/rights")
+    found = {row["agent"]: row for row in json.loads(capsys.readouterr().out)["agents"]}
+    assert (found["vehicle-00"]["account"], found["vehicle-01"]["account"]) == ("revoked", "open")
+    assert (found["cloud-0"]["nodes"], found["cloud-0"]["ready"], found["roadside-0"]["nodes"]) == (1, 1, 0)

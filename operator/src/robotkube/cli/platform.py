@@ -230,6 +230,17 @@ class Platform:
             )
         return text
 
+    def agent_nodes(self) -> Sequence[Mapping[str, Any]]:
+        """The Nodes of agents."""
+        return self._items("/api/v1/nodes", [("labelSelector", AGENT_LABEL)])
+
+    def node_leases(self) -> Sequence[Mapping[str, Any]]:
+        """The leases that Nodes renew; none when they may not be read."""
+        try:
+            return self._items("/apis/coordination.k8s.io/v1/namespaces/kube-node-lease/leases")
+        except InputError:
+            return ()
+
     def agents(self) -> Sequence[str]:
         """The namespaces of declared agents."""
         return [
