@@ -9,6 +9,7 @@ import pytest
 
 from robotkube.delivery.rights.loops import keeper as keeping
 from tests.stages.attacks import shown
+from tests.stages.delivery.agent_telemetry import AgentTelemetry
 from tests.stages.delivery.kept_rights import KeptRights
 from tests.stages.delivery.main_of_links import POSE_00, POSE_01, bridge
 from tests.stages.delivery.mqtt_connection import NOT_AUTHORISED
@@ -72,6 +73,18 @@ def test_who_is_restored_has_what_main_gives(stage: KeptRights, caplog: pytest.L
     assert (vehicle.topics(1), other.topics(1)) == ([MQTT_01], [MQTT_00])
     assert "account restored agent=vehicle-00" in caplog.text
     assert "rights restored" not in caplog.text
+
+
+def test_a_bridge_says_why_and_heals_by_itself(stage: KeptRights) -> None:
+    bridge = AgentTelemetry(stage, "vehicle-00", MQTT_01)
+    stage.merge(*LINKS, revoked=STOLEN)
+    bridge.until(lambda: "`robotkube agent list`" in str(bridge.channel.complaint), "it is refused")
+    assert str(bridge.channel.complaint).startswith("vehicle-00-telemetry: the broker refuses the connection: Not auth")
+    stage.merge(*LINKS, revoked={})
+    other = stage.connect("vehicle-01")
+    bridge.until(lambda: (other.say(MQTT_01, b"again"), bridge.heard)[1], "it hears again")
+    assert bridge.losses == 1
+    bridge.channel.close()
 
 
 def test_it_stays_out_when_broker_or_process_begin_anew(stage: KeptRights, caplog: pytest.LogCaptureFixture) -> None:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel
 from robotkube.robots.mqtt.core.client_ids import client_id
 from tests.stages.attacks import shown
+from tests.stages.delivery.agent_telemetry import AgentTelemetry, connection_of
 from tests.stages.delivery.kept_rights import KeptRights
 from tests.stages.delivery.main_of_links import POSE_01, bridge
 from tests.stages.delivery.mqtt_connection import Connection
@@ -20,7 +19,7 @@ from tests.stages.waiting import until
 pytestmark = pytest.mark.processes
 
 OWNER, THIEF = "vehicle-00", "cloud-0"
-NAME = f"{OWNER}-telemetry"
+NAME = connection_of(OWNER)
 MQTT_01 = f"mqtt{POSE_01}"
 GUESSES = (NAME, client_id(NAME, password(THIEF)), client_id(NAME, OWNER), f"{NAME}-{'0' * 32}")
 """What a thief can make of the names that everybody knows, and of what he has."""
@@ -44,45 +43,7 @@ def stage(platform: KeptRights) -> Iterator[KeptRights]:
     platform.made.clear()
 
 
-class Bridge:
-    """The telemetry of an agent's bridge: what it heard, whether its session was kept, and how often it lost its
-    connection."""
-
-    def __init__(self, stage: KeptRights) -> None:
-        account = stage.broker.account(OWNER)
-        self.heard: list[bytes] = []
-        self.sessions: list[bool] = []
-        self.losses = 0
-        self.channel = PahoChannel(lambda: account, NAME, 60, self)
-        self.until(lambda: self.sessions, "a connection")
-
-    def until(self, condition: Callable[[], object], about: str) -> None:
-        until(lambda: (self.turn(), condition())[1], about)
-
-    def turn(self) -> None:
-        self.channel.turn(time.monotonic())
-        self.channel.flush()
-
-    def connected(self, session_kept: bool) -> None:
-        self.sessions.append(session_kept)
-        self.channel.subscribe([MQTT_01])
-
-    def disconnected(self) -> None:
-        self.losses += 1
-
-    def received(self, topic: str, payload: bytes, properties: bytes) -> None:
-        self.heard.append(payload)
-
-    def acknowledged(self, token: int, heard: bool) -> None: ...
-
-    def rejected(self, token: int, reason: str) -> None: ...
-
-    def refused(self, topic: str, reason: str) -> None: ...
-
-    def granted(self, topic: str) -> None: ...
-
-
-def heard_by(stage: KeptRights, bridge: Bridge, payload: bytes) -> None:
+def heard_by(stage: KeptRights, bridge: AgentTelemetry, payload: bytes) -> None:
     """Say it until the bridge hears: its subscription may still be on its way."""
     other = stage.connect("vehicle-01")
     bridge.until(lambda: (other.say(MQTT_01, payload), payload in bridge.heard)[1], "what another one says")
@@ -107,7 +68,7 @@ def test_a_broker_binds_no_client_id_to_its_account(stage: KeptRights) -> None:
 
 
 def test_who_guesses_the_id_of_a_bridge_gets_no_session_of_it(stage: KeptRights) -> None:
-    bridge = Bridge(stage)
+    bridge = AgentTelemetry(stage, OWNER, MQTT_01)
     heard_by(stage, bridge, b"before")
     thieves = [stage.connect(THIEF, client_id=guess) for guess in GUESSES]
     for thief in thieves:
@@ -117,7 +78,7 @@ def test_who_guesses_the_id_of_a_bridge_gets_no_session_of_it(stage: KeptRights)
     bridge.channel.close()
     stage.connect("vehicle-01").say(MQTT_01, b"while it was away")
     thieves += [stage.connect(THIEF, client_id=guess) for guess in GUESSES]
-    again = Bridge(stage)
+    again = AgentTelemetry(stage, OWNER, MQTT_01)
     again.until(lambda: b"while it was away" in again.heard, "what waited in its session")
     assert again.sessions == [True]
     assert [thief.received for thief in thieves] == [[]] * len(thieves)

@@ -46,6 +46,7 @@ CLOSED = (
     "the broker closes the connection before it answers. Where it speaks TLS at this port, the Secret with the account "
     "has the key tls: required, and its folder ca.crt"
 )
+REFUSED = "is the agent revoked (`robotkube agent list`), or its password another one by now?"
 PACKET_HEAD_BYTES_MAX = 14  # of a PUBLISH beside topic, properties and payload
 
 
@@ -208,7 +209,7 @@ class PahoChannel:
 
     def _on_connect(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any) -> None:
         if client is not self._client or reason.value >= FAILURE:
-            self.complaint = f"{self._name}: the broker refuses the connection: {reason}"
+            self.complaint = f"{self._name}: the broker refuses the connection: {reason}; {REFUSED}"
             self._denied = True
             return
         self._up = True
