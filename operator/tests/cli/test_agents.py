@@ -153,11 +153,14 @@ def test_agents_of_a_cluster(manager_api: Api, repository: Repository, capsys: p
     settings = {"config.yaml": yaml.safe_dump({"agents": agents, "managers": []})}
     manager_api.post(where, {"metadata": {"name": "rights"}, "data": settings})
     repository.merge("begin", **{REVOKED_PATH: write_revoked(STOLEN)})
-    command = ["agent", "list", "--clone", str(repository.folder), "--kubeconfig", str(manager_api.kubeconfig)]
+    cluster = ["--kubeconfig", str(manager_api.kubeconfig)]
     try:
-        assert main([*command, "-o", "json"]) == 0
+        assert main(["agent", "list", "--clone", str(repository.folder), *cluster, "-o", "json"]) == 0
+        out = capsys.readouterr().out
+        assert main(["agent", "revoke", "vehicle-99", "--reason", "mistyped", *cluster]) == 2
+        assert "no agent vehicle-99 is declared; there are: vehicle-00, vehicle-01," in capsys.readouterr().err
     finally:
         manager_api.delete(f"{where}/rights")
-    found = {row["agent"]: row for row in json.loads(capsys.readouterr().out)["agents"]}
+    found = {row["agent"]: row for row in json.loads(out)["agents"]}
     assert (found["vehicle-00"]["account"], found["vehicle-01"]["account"]) == ("revoked", "open")
     assert (found["cloud-0"]["nodes"], found["cloud-0"]["ready"], found["roadside-0"]["nodes"]) == (1, 1, 0)
