@@ -239,7 +239,13 @@ def outcome_of(description: TaskDescription, **options: Any) -> Refused:
         (task(application="nothing"), {}, "UnknownApplication", "'nothing'"),
         (task(parameters={}), {}, "InvalidParameters", "'vehicles' is a required property"),
         (task(parameters={"vehicles": ["vehicle-00"], "x": 1}), {}, "InvalidParameters", "'x' was unexpected"),
-        (task(vehicles=["vehicle-09"]), {}, "NoCapableNode", "'vehicle-09' is not declared"),
+        (
+            task(vehicles=["vehicle-09"]),
+            {},
+            "NoCapableNode",
+            "agent 'vehicle-09' is not declared; name one that is (cloud-0, vehicle-00, vehicle-01, vehicle-02), or "
+            "declare it (values `agents` of the chart robotkube)",
+        ),
         (task(), {"on": make_fleet(without=("vehicle-01",))}, "NoCapableNode", "'vehicle-01' has no Node"),
         (task(), {"on": make_fleet(cloud_0={"ready": False})}, "NoCapableNode", "no Node is Ready"),
         (task(), {"on": make_fleet(cloud_0=NO_CAPABILITY)}, "NoCapableNode", "lacks capability recording"),

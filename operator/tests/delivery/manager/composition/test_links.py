@@ -137,7 +137,8 @@ SAYS = {
     "chart": {"name": "opener", "version": ">=0.1.0"},
     "values": {"said": POSE, "heard": "/vehicles/{vehicle}/pose"},
 }
-SPEAKER, HEARER = service("speaker", "vehicle-00", **SAYS), service("hearer", "cloud-0", **SAYS)
+SPEAKER = service("speaker", "vehicle-00", **SAYS)
+HEARER = service("hearer", "cloud-0", **{**SAYS, "values": {**SAYS["values"], "said": "/agents/cloud_0/heard"}})
 FROM_SPEAKER, TO_HEARER = {"service": "speaker"}, {"service": "hearer"}
 
 
@@ -399,9 +400,46 @@ def test_kind_and_deadline_of_a_topic_reach_both_bridges(deadline: dict[str, flo
     assert (ends["vehicle-00"]["out"], ends["cloud-0"]["in"]) == ([carries], [carries])
 
 
+# -- one topic asked for in two ways ----------------------------------------------------------------------------------
+
+SOON, EVER = (
+    {"kind": "mqtt", "from": dict(VEHICLE), "to": dict(CLOUD), "topics": [{**topic(POSE), **deadline}]}
+    for deadline in ({"deadline_seconds": 0.5}, {})
+)
+
+
 def test_two_deadlines_of_one_topic_are_told() -> None:
-    links = [
-        {"kind": "mqtt", "from": dict(VEHICLE), "to": dict(CLOUD), "topics": [{**topic(POSE), **deadline}]}
-        for deadline in ({"deadline_seconds": 0.5}, {})
-    ]
-    assert "is asked for with deadline_seconds 0.5 and None" in refused(composed(links)).message
+    refusal = refused(composed([SOON, EVER]))
+    assert refusal.reason == "CompositionFailed"
+    assert refusal.message == (
+        f"topic {POSE} is asked for with no deadline_seconds at the mqtt bridge of vehicle-00, which carries it with "
+        "deadline_seconds 0.5 for another link of application app: a bridge carries a topic in one way; write the same "
+        "in both links"
+    )
+
+
+def by_two(first: Mapping[str, Any], second: Mapping[str, Any]) -> Refused:
+    """The refusal of task ops/second, whose application `late` has the link `second`."""
+    known = catalogue(application(links=[first], name="early"), application(links=[second], name="late"), BRIDGE)
+    nodes = [NodeState(agent.name, agent.name, agent.role, frozenset(), True) for agent in AGENTS]
+    asked = [demand(task("first", application="early")), demand(task("second", application="late"))]
+    composition = compose(asked, Inputs(known, fleet(AGENTS, nodes), {}, RENDER, validate))
+    assert isinstance(composition.outcomes["ops/first"], Met)
+    outcome = composition.outcomes["ops/second"]
+    assert isinstance(outcome, Refused)
+    return outcome
+
+
+def test_a_topic_that_another_task_has_carried_otherwise_names_task_and_application() -> None:
+    assert by_two(SOON, EVER).message.endswith(
+        "which carries it with deadline_seconds 0.5 for task ops/first (application early), which can be withdrawn: a "
+        "bridge carries a topic in one way; write the same in both links"
+    )
+
+
+def test_a_loop_with_another_task_names_task_and_application() -> None:
+    plan = "/agents/vehicle_00/plan"
+    assert by_two(link(VEHICLE, CLOUD, plan), link({"medium": "mqtt"}, VEHICLE, plan)).message == (
+        f"topic {plan} leaves vehicle-00 by its mqtt bridge for task ops/first (application early), which can be "
+        "withdrawn, and would enter by it as well: a loop; give one of both topics another name"
+    )

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from robotkube.delivery.deployment.core.releases import Release
-from robotkube.delivery.manager.core.composition.composer import compose
+from robotkube.delivery.manager.core.composition.composer import Refused, compose
 from robotkube.delivery.manager.core.composition.release_merge import merged_release
 from robotkube.delivery.manager.core.placement.capacity import Resources
 from robotkube.delivery.manager.core.placement.placement import Agent, NodeState, fleet, next_loss_ns
@@ -126,7 +126,12 @@ def test_a_named_agent_needs_room_too_and_so_does_its_bridge() -> None:
         (TaskPlacement(agents=("roadside-2",)), "roadside-2", ""),
         (TaskPlacement(roles=("roadside",)), "roadside-0", ""),
         (TaskPlacement(agents=("cloud-0",)), "", "one of the agents cloud-0: cloud-0: has role cloud, not roadside"),
-        (TaskPlacement(agents=("roadside-9",)), "", "one of the agents roadside-9: no such agent is declared"),
+        (
+            TaskPlacement(agents=("roadside-9",)),
+            "",
+            "service a of application app: no agent for role roadside one of the agents roadside-9: no such agent is "
+            "declared (values `agents` of the chart robotkube)",
+        ),
         (TaskPlacement(roles=("cloud",)), "", "roadside-0: has role roadside, the task wants cloud"),
         (TaskPlacement(capabilities=("arm",)), "", "roadside-2: lacks capability arm"),
     ],
@@ -138,6 +143,15 @@ def test_a_task_narrows_the_rule_and_never_widens_it(placement: TaskPlacement, a
     else:
         assert refusal(composition).reason == "NoCapableNode"
         assert text in refusal(composition).message
+
+
+def test_a_service_on_an_agent_that_nobody_declared_is_named() -> None:
+    named = catalogue(application({**ONE, "placement": {"agent": "roadside-9"}}))
+    assert refusal(compose([demand(task())], inputs(named))) == Refused(
+        "NoCapableNode",
+        "service a of application app: agent 'roadside-9' is not declared; name one that is (cloud-0, roadside-0, "
+        "roadside-1, roadside-2), or declare it (values `agents` of the chart robotkube)",
+    )
 
 
 def test_a_demand_that_is_offloaded_goes_to_other_roles_with_the_same_capabilities() -> None:
@@ -282,8 +296,8 @@ def test_demands_share_a_release_by_uniting_the_lists_that_may_be_united() -> No
     apart = catalogue(application({**shared, "placement": {"agent": "roadside-0"}}))
     outcome = refusal(compose([demand(task("t0")), demand(task("t1"))], inputs(apart)), "ops/t1")
     assert outcome.reason == "ReleaseInUse"
-    said = "release roadside-0/shared is made by ops/t0 with other content (values.topics); withdraw that, or"
-    assert outcome.message.startswith(said)
+    said = "release roadside-0/shared is made for task ops/t0 (application app) with other content (values.topics); "
+    assert outcome.message.startswith(f"{said}withdraw that, or")
 
 
 @pytest.mark.parametrize(

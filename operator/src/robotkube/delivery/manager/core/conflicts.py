@@ -1,9 +1,10 @@
 """Conflicts between demands: which are refused, which wait, which run elsewhere, which are pre-empted.
 
-A conflict is a demand that could run if others did not: its requests do not fit beside theirs, or they have a release
-that it needs with other content. Its own policy says what becomes of it. Reject: refused. Postpone: it waits in
-the queue, also for nodes that are missing at the moment. Offload: it is placed on agents of other roles. Preempt:
-demands of strictly lower priority give way, as few as possible, the lowest first; what becomes of those says theirs.
+A conflict is a demand that could run if others did not: its requests do not fit beside theirs, they have a release that
+it needs with other content, or publish one of its topics on the same place. Its own policy says what becomes of it.
+Reject: refused. Postpone: it waits in the queue, also for nodes that are missing at the moment. Offload: it is placed
+on agents of other roles. Preempt: demands of strictly lower priority give way, as few as possible, the lowest first;
+what becomes of those says theirs.
 
 What stands on main keeps its place before anything new; new demands come by priority, which grows while they wait
 (AGING_SECONDS). Nothing waits for ever: the queue has QUEUE_MAX places, and who has waited for its `secondsMax` is

@@ -24,6 +24,7 @@ PLURAL = "taskdescriptions"
 
 INSUFFICIENT_RESOURCES = "InsufficientResources"
 RELEASE_IN_USE = "ReleaseInUse"
+TOPIC_TAKEN = "TopicTaken"
 NO_CAPABLE_NODE = "NoCapableNode"
 INVALID_PARAMETERS = "InvalidParameters"
 APPLICATION_NOT_VERIFIED = "ApplicationNotVerified"
@@ -48,6 +49,7 @@ REFUSAL_TEXTS: Mapping[str, str] = {
     "LinkTypeUnknown": "no bridge knows the message type of a topic of a link",
     "LinkMismatch": "a chart at an end of a link does not open a topic of it, or opens it with another type or QoS",
     RELEASE_IN_USE: "another demand needs a release of the same name with other content",
+    TOPIC_TAKEN: "another demand publishes the same ROS topic on the same node",
     POSTPONED: "a conflict with other demands; the task waits in the queue",
     QUEUE_FULL: "a conflict with other demands, and the queue has no place left",
     QUEUE_TOO_LONG: "the task waited in the queue for as long as it may",
@@ -60,7 +62,7 @@ REFUSAL_TEXTS: Mapping[str, str] = {
     SUPERSEDED: "the task changed or was withdrawn before its plan was merged",
 }
 REFUSAL_REASONS = tuple(REFUSAL_TEXTS)
-CONFLICT_REASONS = frozenset({INSUFFICIENT_RESOURCES, RELEASE_IN_USE})  # only other demands cause these
+CONFLICT_REASONS = frozenset({INSUFFICIENT_RESOURCES, RELEASE_IN_USE, TOPIC_TAKEN})  # only other demands cause these
 SETTLED_REASONS = CONFLICT_REASONS | {QUEUE_FULL, QUEUE_TOO_LONG, PREEMPTED}
 """Reasons of conflicts that are decided once: such a refusal stands until the task's spec changes or the task is made
 anew."""

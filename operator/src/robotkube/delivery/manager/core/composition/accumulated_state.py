@@ -13,10 +13,13 @@ from robotkube.delivery.manager.core.composition.assignments import Assignments
 from robotkube.delivery.manager.core.composition.expansion import Expansion
 from robotkube.delivery.manager.core.composition.index import Index
 from robotkube.delivery.manager.core.composition.inputs import Demand, Met, Refused
+from robotkube.delivery.manager.core.composition.publishers import Publishers, described
 from robotkube.delivery.manager.core.composition.topic_merge import End, MergedTopics
 from robotkube.delivery.manager.core.placement.capacity import read_resources
-from robotkube.delivery.tasks.core.task_description import INSUFFICIENT_RESOURCES, RELEASE_IN_USE
+from robotkube.delivery.manager.core.placement.placement import NAMED_MAX
+from robotkube.delivery.tasks.core.task_description import INSUFFICIENT_RESOURCES, RELEASE_IN_USE, TOPIC_TAKEN
 from robotkube.errors import RefusalError
+from robotkube.robots.bridge.core.rights import IN, OUT
 
 Merge = Callable[[Release, Release, Sequence[str]], Release | None]
 """As release_merge.merged_release."""
@@ -45,7 +48,8 @@ class Contribution:
 
 class AccumulatedState:
     """All demands so far: `outcomes` by demand key, `first` of equal demands by their shared key, `releases` and whose
-    `contributions` they are by release key, `topics` and whose they are (`bridged`) by bridge.
+    `contributions` they are by release key, `topics` and whose they are (`bridged`) by bridge, who
+    `published` a topic on a place.
 
     A copy is cheap: values are never changed in place."""
 
@@ -57,6 +61,7 @@ class AccumulatedState:
         self.contributions: dict[str, tuple[Contribution, ...]] = {}
         self.topics = MergedTopics()
         self.bridged: dict[End, tuple[Contribution, ...]] = {}
+        self.published: Publishers = {}
 
     def copy(self) -> AccumulatedState:
         """A state that can grow without changing this one."""
@@ -67,6 +72,7 @@ class AccumulatedState:
         copied.contributions = dict(self.contributions)
         copied.topics = self.topics.copy()
         copied.bridged = dict(self.bridged)
+        copied.published = dict(self.published)
         return copied
 
     def add(self, contribution: Contribution, index: Index, merge: Merge) -> None:
@@ -74,8 +80,10 @@ class AccumulatedState:
         expansion = contribution.expansion
         releases = {key: self._merged(key, one, expansion, merge) for key, one in expansion.releases.items()}
         if not contribution.shares:
+            self._check_publishers(expansion)
             self._reserve_bridges(expansion, index)
-        self.topics.merge(expansion.topics)
+        self.topics.merge(expansion.topics, self._whose_topic)
+        self.published.update(expansion.published)
         self.releases.update(releases)
         for key in releases:
             self.contributions[key] = (*self.contributions.get(key, ()), contribution)
@@ -90,14 +98,42 @@ class AccumulatedState:
             return release if present is None else present
         merged = merge(present, release, expansion.merged_lists[key])
         if merged is None:
-            names = ", ".join(one.demand.key for one in self.contributions[key])
+            names = whose(self.contributions[key])
             differing = ", ".join(_differing(present.values, release.values, "values")) or "another chart or version"
             raise RefusalError(
                 RELEASE_IN_USE,
-                f"release {key} is made by {names} with other content ({differing}); withdraw that, or let the "
+                f"release {key} is made {names} with other content ({differing}); withdraw that, or let the "
                 "application give the release a name with a parameter in it",
             )
         return merged
+
+    def _check_publishers(self, expansion: Expansion) -> None:
+        """RefusalError(TopicTaken) when another demand publishes one of the topics on the same place."""
+        for (place, topic), publisher in expansion.published.items():
+            present = self.published.get((place, topic), publisher)
+            if present != publisher:
+                raise RefusalError(
+                    TOPIC_TAKEN,
+                    f"{described(publisher)} of application {expansion.application} would publish topic {topic} on "
+                    f"{place}, where {described(present)} publishes it {whose(self._publishing(place, topic))}: who "
+                    "subscribes would get both mixed; withdraw that, let the application publish under another name "
+                    "(a parameter in it), or place this one on another agent",
+                )
+
+    def _publishing(self, place: str, topic: str) -> Sequence[Contribution]:
+        """Whose the publisher of a topic on a place is."""
+        publisher = self.published[place, topic]
+        of_publisher = self.contributions[publisher] if isinstance(publisher, str) else self.bridged[publisher]
+        return [one for one in of_publisher if (place, topic) in one.expansion.published]
+
+    def _whose_topic(self, end: End, topic: str) -> str:
+        """The words for who asked for a topic of a bridge."""
+        asked = [
+            one
+            for one in self.bridged[end]
+            if any(topic in one.expansion.topics.names(end, direction) for direction in (IN, OUT))
+        ]
+        return f"{whose(asked)}, which can be withdrawn"
 
     def _reserve_bridges(self, expansion: Expansion, index: Index) -> None:
         """Reserve the bridges that nobody asked for yet; those that run already keep their place though it is full."""
@@ -115,6 +151,15 @@ class AccumulatedState:
                 text = f"{agent} has no room for its bridge ({shortage}); withdraw something that runs there"
                 raise RefusalError(INSUFFICIENT_RESOURCES, text)
             occupancy.reserve(place, need, releases=0)
+
+
+def whose(contributions: Sequence[Contribution]) -> str:
+    """The demands in words, the first few of them: `for task ops/t (application a)`."""
+    shown = [
+        f"{'task ' if one.demand.task else ''}{one.demand.key} (application {one.expansion.application})"
+        for one in contributions[:NAMED_MAX]
+    ]
+    return f"for {', '.join(shown)}{', ...' if len(contributions) > NAMED_MAX else ''}"
 
 
 def release_keys(expansion: Expansion, bridges: Mapping[End, str]) -> set[str]:

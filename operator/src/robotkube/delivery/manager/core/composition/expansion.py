@@ -6,7 +6,8 @@ An expansion stays good as long as its lookups and pins have the same answers an
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import contextlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,8 +17,16 @@ from robotkube.delivery.manager.core.composition.co_location import Instance, gr
 from robotkube.delivery.manager.core.composition.index import Index, Lookup
 from robotkube.delivery.manager.core.composition.inputs import Demand
 from robotkube.delivery.manager.core.composition.links import PlacedInstance, needs, passages
+from robotkube.delivery.manager.core.composition.publishers import (
+    Publisher,
+    Publishers,
+    declares_topics,
+    described,
+    is_one_publishers,
+    published_topics,
+)
 from robotkube.delivery.manager.core.composition.selection import Chosen
-from robotkube.delivery.manager.core.composition.topic_merge import MergedTopics
+from robotkube.delivery.manager.core.composition.topic_merge import End, MergedTopics
 from robotkube.delivery.manager.core.placement.capacity import read_resources
 from robotkube.delivery.manager.core.placement.placement import Agent, Group, Placement, PlacementRequest, group
 from robotkube.errors import RefusalError
@@ -42,8 +51,9 @@ class PlacedGroup:
 @dataclass
 class Expansion:
     """What a demand asks for. `merged_lists` are, by release key, the values paths whose lists are merged when another
-    demand makes the same release; `lookups`, `kept` and `pins` are what it depends on beside catalogue and placements:
-    answers of the fleet, where its releases (by name) ran already, and the versions that releases (by key) keep."""
+    demand makes the same release; `published` are the topics of its releases and of bridges, as far as that is known;
+    `lookups`, `kept` and `pins` are what it depends on beside catalogue and placements: answers of the fleet, where its
+    releases (by name) ran already, and the versions that releases (by key) keep."""
 
     demand: Demand
     application: str
@@ -51,6 +61,7 @@ class Expansion:
     releases: dict[str, Release] = field(default_factory=dict)
     merged_lists: dict[str, tuple[str, ...]] = field(default_factory=dict)
     topics: MergedTopics = field(default_factory=MergedTopics)
+    published: Publishers = field(default_factory=dict)
     groups: list[PlacedGroup] = field(default_factory=list)
     choice_parts: list[tuple[str, ...] | int] = field(default_factory=list)
     lookups: list[tuple[Lookup, Any]] = field(default_factory=list)
@@ -95,7 +106,7 @@ class _Expander:
         self._expansion = Expansion(demand, choice.application.name, cause, choice_parts=[choice.reasons])
         names = self._given = _names(demand, choice.parameters, self._placements)
         names["agents"] = {
-            name: list(self._lookup(("agents", asked.role, asked.capabilities)))
+            name: list(self._lookup(("agents", asked.role, asked.capabilities), f"agents.{name}"))
             for name, asked in choice.application.agents.items()
         }
         self._links = choice.application.links
@@ -104,6 +115,8 @@ class _Expander:
             if link.kind != "ros":
                 index.bridge(link.kind)
                 self._add_link(link, f"spec.links[{number}]", names, placed)
+        for end in self._expansion.topics.ends:
+            self._publish(end[1], filter(is_one_publishers, self._expansion.topics.names(end, IN)), end)
         self._expansion.choices = choices_of(self._expansion.choice_parts, self._expansion.groups)
         return self._expansion
 
@@ -135,8 +148,9 @@ class _Expander:
             chosen, request = self._request(member, name)
             charts.append(chosen)
             requests.append(request)
-        asked = group(requests, self._index.fleet, self._demand.narrowing)
-        placement = self._assignments.assign(self._demand, asked, names, self._index)
+        with self._naming(_services(members)):
+            asked = group(requests, self._index.fleet, self._demand.narrowing)
+            placement = self._assignments.assign(self._demand, asked, names, self._index)
         for member in members:
             self._placements.setdefault(member.service.name, placement.agent.name)
         self._expansion.groups.append(PlacedGroup(asked, tuple(names), placement))
@@ -146,8 +160,9 @@ class _Expander:
         service = instance.service
         kept = self._index.kept(self._demand, name)
         agent = self._render(service.placement.agent, instance.scope) if service.placement.agent else None
+        part = f"service {service.name}"
         if agent is not None:
-            self._lookup(("agent", agent))
+            self._lookup(("agent", agent), part)
         places = [agent] if isinstance(agent, str) else sorted(kept)
         keys = [f"{at.namespace}/{name}" for at in map(self._index.fleet.at.get, places) if at]
         pins = [(key, self._index.pins.get(key)) for key in keys]
@@ -155,7 +170,7 @@ class _Expander:
         self._expansion.pins += pins
         pinned = next((pin for _, pin in pins if pin), None)
         role = "" if self._demand.roles else service.placement.role
-        platforms = self._lookup(("platforms", agent if isinstance(agent, str) else "", role))
+        platforms = self._lookup(("platforms", agent if isinstance(agent, str) else "", role), part)
         chosen = self._index.selector.chart(service.chart, self._demand.requirements, platforms, pinned)
         chart = chosen[0]
         apart = f"{self._expansion.application}/{service.name}" if service.placement.spread else ""
@@ -165,18 +180,31 @@ class _Expander:
             service.name, service.placement, agent, kept, need, chart.platforms, apart, bool(service.unite), wanted
         )
 
-    def _lookup(self, lookup: Lookup) -> Any:
-        answer = self._index.lookup(lookup)
+    def _lookup(self, lookup: Lookup, part: str) -> Any:
+        """The fleet's answer, for a part of the application."""
+        with self._naming(part):
+            answer = self._index.lookup(lookup)
         self._expansion.lookups.append((lookup, answer))
         return answer
+
+    @contextlib.contextmanager
+    def _naming(self, part: str) -> Iterator[None]:
+        """Name the part of the application in every refusal."""
+        try:
+            yield
+        except RefusalError as error:
+            text = f"{part} of application {self._expansion.application}: {error.message}"
+            raise RefusalError(error.reason, text) from error
 
     def _opening(self, instance: Instance, agent: Agent, chart: ChartVersion, release: Release) -> Opening:
         """What an instance opens, by the entry of its chart and the values of its release."""
         topics = None
         if chart.interfaces:
-            values = self._index.selector.deployed(chart, release.values)
-            topics = opened(chart.interfaces, values, self._render)
+            topics = opened(chart.interfaces, self._deployed(chart, release), self._render)
         return Opening(instance.service.name, chart.chart, agent.place, instance.loop, topics)
+
+    def _deployed(self, chart: ChartVersion, release: Release) -> Mapping[str, Any]:
+        return self._index.selector.deployed(chart, release.values)
 
     def _add_service(self, instance: Instance, agent: Agent, chosen: Chosen, group_number: int) -> Release:
         service = instance.service
@@ -195,22 +223,48 @@ class _Expander:
         expansion.releases[key] = release
         expansion.merged_lists[key] = service.unite
         expansion.choice_parts += [(f"{service.name} -> {key}", *chosen[1]), group_number]
+        if declares_topics(chart):
+            topics = published_topics(chart, self._deployed(chart, release), self._render)
+            self._publish(agent.place, topics, key)
         return release
+
+    def _publish(self, place: str, topics: Iterable[str], publisher: Publisher) -> None:
+        """Note what is published on a place; RefusalError when the application has two publishers of a topic there."""
+        published = self._expansion.published
+        for topic in topics:
+            other = published.setdefault((place, topic), publisher)
+            if other != publisher:
+                raise RefusalError(
+                    "CompositionFailed",
+                    f"topic {topic} on {place} has two publishers in application {self._expansion.application}, "
+                    f"{described(other)} and {described(publisher)}: who subscribes would get both mixed; give each "
+                    "of them a topic of its own",
+                )
 
     def _add_link(
         self, link: Link, path: str, names: Mapping[str, Any], placed: Mapping[str, Sequence[PlacedInstance]]
     ) -> None:
         topics = self._expansion.topics
-        for passage in passages(link, names, placed, self._agents, self._render, path):
-            if passage.source:
-                topics.add(link.kind, passage.source.place, OUT, passage.topic)
-            if passage.target:
-                topics.add(link.kind, passage.target.place, IN, passage.topic)
 
-    def _agents(self, kind: str, name: Any) -> Sequence[Agent]:
-        """An agent by name; every agent of a role that has a node."""
-        answer = self._lookup((kind, name))
-        return answer if kind == "role" else [answer]
+        def agents(kind: str, name: Any) -> Sequence[Agent]:
+            """An agent by name; every agent of a role that has a node."""
+            answer = self._lookup((kind, name), path)
+            return answer if kind == "role" else [answer]
+
+        for passage in passages(link, names, placed, agents, self._render, path):
+            if passage.source:
+                topics.add(link.kind, passage.source.place, OUT, passage.topic, self._of_another_link)
+            if passage.target:
+                topics.add(link.kind, passage.target.place, IN, passage.topic, self._of_another_link)
+
+    def _of_another_link(self, end: End, topic: str) -> str:
+        """The words for who asked for a topic of a bridge already, within one application."""
+        return f"for another link of application {self._expansion.application}"
+
+
+def _services(members: Sequence[Instance]) -> str:
+    names = list(dict.fromkeys(member.service.name for member in members))
+    return f"{'services' if len(names) > 1 else 'service'} {', '.join(names)}"
 
 
 def _names(demand: Demand, parameters: Mapping[str, Any], placements: dict[str, str]) -> dict[str, Any]:

@@ -3,7 +3,7 @@ carried twice."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from robotkube.errors import RefusalError
@@ -15,6 +15,9 @@ End = tuple[str, str]
 
 Part = dict[str, dict[str, Mapping[str, Any]]]
 """Topics of one bridge by direction and name."""
+
+Whose = Callable[[End, str], str]
+"""Who asked for a topic of a bridge, as a clause: `for task ops/t (application a)`."""
 
 
 class MergedTopics:
@@ -36,20 +39,21 @@ class MergedTopics:
         """Every bridge that somebody asks for."""
         return self._topics.keys()
 
-    def add(self, kind: str, agent: str, direction: str, topic: Mapping[str, Any]) -> None:
-        """Add one topic; RefusalError(CompositionFailed) when the bridge has it otherwise or in the other direction."""
+    def add(self, kind: str, agent: str, direction: str, topic: Mapping[str, Any], whose: Whose) -> None:
+        """Add one topic; RefusalError(CompositionFailed) when the bridge has it otherwise or in the other direction,
+        with who asked for that in the words of `whose`."""
         part: Part = {OUT: {}, IN: {}}
         part[direction][topic["name"]] = topic
         one = MergedTopics()
         one._topics[kind, agent] = part
-        self.merge(one)
+        self.merge(one, whose)
 
-    def merge(self, other: MergedTopics) -> None:
+    def merge(self, other: MergedTopics, whose: Whose) -> None:
         """Merge all of `other` into these, or refuse as `add` does and stay as they were."""
         for end, part in other._topics.items():
             mine = self._topics.get(end)
             if mine is not None:
-                _agree(end[1], mine, part)
+                _agree(end, mine, part, whose)
         for end, part in other._topics.items():
             mine = self._topics.setdefault(end, part)
             if mine is not part:
@@ -59,6 +63,10 @@ class MergedTopics:
                 for direction, topics in part.items():
                     mine[direction].update(topics)
 
+    def names(self, end: End, direction: str) -> Iterable[str]:
+        """The names of the topics of one bridge in one direction."""
+        return self._topics.get(end, {}).get(direction, {}).keys()
+
     def at(self, kind: str, agent: str) -> dict[str, Sequence[Mapping[str, Any]]]:
         """Topics of one bridge by direction, by name."""
         part = self._topics.get((kind, agent), {})
@@ -66,22 +74,39 @@ class MergedTopics:
         return {direction: [topics[name] for name in sorted(topics)] for direction, topics in both.items()}
 
 
-def _agree(agent: str, mine: Part, part: Part) -> None:
+def _agree(end: End, mine: Part, part: Part, whose: Whose) -> None:
     for direction, topics in part.items():
         present, against = mine[direction], mine[IN if direction == OUT else OUT]
         for name, topic in topics.items():
             known = present.get(name)
             if known is not None and known is not topic and known != topic:
-                raise _difference(agent, known, topic)
+                raise _difference(end, known, topic, whose)
             if name in against:
+                ways = ("leaves", "enter") if direction == IN else ("enters", "leave")
                 raise RefusalError(
-                    "CompositionFailed", f"topic {name} would leave and enter {agent} by its bridge: a loop"
+                    "CompositionFailed",
+                    f"topic {name} {ways[0]} {end[1]} by its {end[0]} bridge {whose(end, name)}, and would {ways[1]} "
+                    "by it as well: a loop; give one of both topics another name",
                 )
 
 
-def _difference(agent: str, present: Mapping[str, Any], topic: Mapping[str, Any]) -> RefusalError:
-    pairs = [(key, present.get(key), topic.get(key)) for key in (*TOPIC_KEYS, *TOPIC_KEYS_OPTIONAL)]
-    differences = ", ".join(f"{key} {one!r} and {other!r}" for key, one, other in pairs if one != other)
+def _difference(end: End, present: Mapping[str, Any], topic: Mapping[str, Any], whose: Whose) -> RefusalError:
+    name = topic["name"]
+    there, here = (", ".join(words) for words in zip(*_differences(present, topic), strict=True))
     return RefusalError(
-        "CompositionFailed", f"topic {topic['name']} at the bridge of {agent} is asked for with {differences}"
+        "CompositionFailed",
+        f"topic {name} is asked for with {here} at the {end[0]} bridge of {end[1]}, which carries it with {there} "
+        f"{whose(end, name)}: a bridge carries a topic in one way; write the same in both links",
     )
+
+
+def _differences(present: Mapping[str, Any], topic: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """What differs, in words: as it is, and as it is asked for."""
+    for key in (*TOPIC_KEYS, *TOPIC_KEYS_OPTIONAL):
+        one, other = present.get(key), topic.get(key)
+        if one != other:
+            yield _word(key, one), _word(key, other)
+
+
+def _word(key: str, value: Any) -> str:
+    return f"no {key}" if value is None else f"{key} {value}"

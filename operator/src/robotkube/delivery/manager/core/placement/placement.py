@@ -25,6 +25,7 @@ Reason = tuple[str, str]
 """Why a candidate is chosen or not: what many have in common, and the rest of the sentence."""
 
 LOST = "its Node is lost"
+DECLARED = "values `agents` of the chart robotkube"
 POSSIBLE: Reason = ("possible", "")
 
 
@@ -194,10 +195,17 @@ class Fleet:
     def agent(self, name: object) -> Agent:
         """A declared agent that has a node; RefusalError(NoCapableNode) says which of both it lacks."""
         if not isinstance(name, str) or name not in self.agents:
-            raise RefusalError("NoCapableNode", f"agent {name!r} is not declared in the platform's values")
+            raise RefusalError("NoCapableNode", f"agent {name!r} is not declared; {self._declared()}")
         if not self.nodes.get(name):
-            raise RefusalError("NoCapableNode", f"agent {name!r} has no Node with label robotkube.io/agent={name}")
+            text = f"agent {name!r} has no Node with label robotkube.io/agent={name}; let its Node join, or label it"
+            raise RefusalError("NoCapableNode", text)
         return self.home(self.agents[name])
+
+    def _declared(self) -> str:
+        """What to do where somebody names an agent that nobody declared."""
+        names = sorted(self.agents)
+        known = f"{', '.join(names[:NAMED_MAX])}{', ...' if len(names) > NAMED_MAX else ''}" if names else "none"
+        return f"name one that is ({known}), or declare it ({DECLARED})"
 
     def loss(self, agent: str, now_ns: int, node: str = "") -> str:
         """Why nothing of an agent, or of its Node of that name, can be reached for longer than is waited for; empty
@@ -419,7 +427,7 @@ def _reason(agent: Agent, candidates: Candidates, around: Circumstances) -> tupl
 
 def _refusal(asked: Group, candidates: Candidates, around: Circumstances) -> RefusalError:
     reasons = [_reason(agent, candidates, around) for agent in candidates.agents]
-    detail = "; ".join(listed(reasons)) or "no such agent is declared"
+    detail = "; ".join(listed(reasons)) or f"no such agent is declared ({DECLARED})"
     group = f"{asked.wanted}{''.join(f' ({text})' for text in asked.together)}"
     if any(not around.avoids(agent) for agent in candidates.free):
         text = f"no agent for {group} has room: {detail}; ask for less, or withdraw something that runs there"
