@@ -33,6 +33,7 @@ from ci import evidence
 from ci.cluster.images import Image, lock_file, read_lock
 from ci.errors import InputError, SetUpError
 from ci.folders import PROJECT
+from robotkube.cli.registry.source_problems import check_sources
 from robotkube.cli.registry.submit import ACCOUNT, CATALOGUE, ForgeAccess, submit_sources
 from robotkube.errors import RobotKubeError, UnavailableError
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
@@ -206,7 +207,7 @@ def _checked(charts: Sequence[ChartSource], kept: Path) -> SubmittedSources:
     runnable = [
         name for name, wanted in needed.items() if all(c.name in names or c.provides in provided for c in wanted)
     ]
-    sources.check_sources(sorted(names), runnable, CHARTS, REGISTRY)
+    check_sources(sorted(names), runnable, CHARTS, REGISTRY, "submitted")
     applications = {f"applications/{name}.yaml": texts[name] for name in runnable}
     return SubmittedSources(tuple(charts), applications, sources.read_kept(kept))
 

@@ -63,7 +63,7 @@ def test_the_command_writes_results_and_ends_as_without(
     monkeypatch.setattr(submit, "submit_sources", submitted)
     monkeypatch.setattr(submit, "_access", lambda options: (None, {}))
     words = ["registry", "submit", "--all", "--watch", "--charts", str(tmp_path), "--registry", str(tmp_path)]
-    monkeypatch.setattr(submit.folders, "check_sources", lambda *_: None)
+    monkeypatch.setattr(submit, "check_sources", lambda *_: None)
     monkeypatch.setattr(submit.folders, "read_sources", lambda *_: None)
     monkeypatch.setattr(submit.folders, "all_charts", lambda *_: [])
     monkeypatch.setattr(submit.folders, "all_applications", lambda *_: [])

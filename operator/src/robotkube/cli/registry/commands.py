@@ -14,14 +14,13 @@ from pathlib import Path
 
 from robotkube.cli.output import Table
 from robotkube.cli.platform import Platform
+from robotkube.cli.registry.source_problems import source_problems
 from robotkube.errors import InputError, UnavailableError
 from robotkube.registry.catalogue.adapters.source_folders import read_sources
 from robotkube.registry.catalogue.core.catalogue import read_catalogue
 from robotkube.registry.catalogue.core.chart_versions import CHANNELS, STATES
 from robotkube.registry.catalogue.core.entry_documents import SOURCE, UNVERIFIED, entry_documents
 from robotkube.registry.catalogue.core.search import Criteria, Entry, dot, find, read_guarantee, search, upgrade_rows
-from robotkube.registry.catalogue.core.validation import validate_sources
-from robotkube.registry.publication.adapters.submission_folders import validation_tools
 
 REGISTRY = Path("registry")
 CHARTS = Path("charts/apps")
@@ -144,7 +143,7 @@ def validate_registry(options: argparse.Namespace) -> Table:
     """List every mistake in the sources; refused when there is one."""
     charts = options.charts or options.registry.parent / CHARTS
     sources = read_sources(options.registry, charts)
-    findings = validate_sources(sources, validation_tools())
+    findings = source_problems(sources)
     rows = [{"file": finding.file, "key": finding.key, "problem": finding.text} for finding in findings]
     files = len(sources.files)
     mistakes = "mistake" if len(findings) == 1 else "mistakes"

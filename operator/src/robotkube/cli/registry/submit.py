@@ -19,6 +19,7 @@ from typing import Any
 from robotkube.cli.output import Table
 from robotkube.cli.platform import Platform
 from robotkube.cli.registry.result_lines import ResultLines
+from robotkube.cli.registry.source_problems import check_sources
 from robotkube.errors import InputError, RobotKubeError
 from robotkube.foundation.documents.core.times import time_text
 from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter
@@ -81,7 +82,7 @@ def submit(options: argparse.Namespace) -> Table | None:
     access, images = _access(options)
     names = folders.all_charts(options.charts_folder) if options.all else options.charts
     applications = folders.all_applications(options.registry) if options.all else options.application
-    folders.check_sources(names, applications, options.charts_folder, options.registry)
+    check_sources(names, applications, options.charts_folder, options.registry, "submitted")
     sources = folders.read_sources(names, applications, options.charts_folder, options.registry, images, options.kept)
     lines = ResultLines(options.output, sys.stdout, lambda: time_text(time.time_ns())) if options.watch else None
     outcome = submit_sources(

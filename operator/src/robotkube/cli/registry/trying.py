@@ -21,6 +21,7 @@ from typing import Any
 from robotkube.cli.output import Table, lines
 from robotkube.cli.registry.pushed_images import PushedImages
 from robotkube.cli.registry.reaching import Reached, reach
+from robotkube.cli.registry.source_problems import check_sources
 from robotkube.cli.registry.submit import IMAGES_HELP, choosing_forge
 from robotkube.cli.registry.trying_on_cluster import NAMES, ClusterMeans, cluster_means
 from robotkube.errors import InputError, UnavailableError
@@ -61,7 +62,7 @@ def choosing(parser: argparse.ArgumentParser) -> None:
 def try_suites(options: argparse.Namespace) -> Table:
     """Run what can be run; a row for each chart and suite."""
     tried = find_tried(options.path, options.charts, options.registry)
-    tried.check()
+    check_sources(tried.names, tried.applications, tried.charts, tried.registry, "tried")
     reached = reach(options, tried.registry)
     charts = tried.read(reached.images)
     policy = tried.policy(OWN_VERSIONS)

@@ -11,11 +11,9 @@ from robotkube.errors import DocumentError, InputError
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.foundation.documents.adapters.json_schema import check_schema, validate, violations
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
-from robotkube.registry.catalogue.adapters import source_folders
 from robotkube.registry.catalogue.core.catalogue import read_application, read_chart_version
 from robotkube.registry.catalogue.core.chart_versions import ChartVersion
 from robotkube.registry.catalogue.core.sources import Tools
-from robotkube.registry.catalogue.core.validation import validate_sources
 from robotkube.registry.charts.adapters.chart_folders import pack
 from robotkube.registry.charts.core.packing import CHART_FILE, IMAGES_FILE
 from robotkube.registry.publication.ports import ChartSource, SubmittedSources
@@ -65,20 +63,6 @@ def validation_tools() -> Tools:
     """The libraries that validation needs."""
     templates = Jinja2Templates()
     return Tools(templates.render, templates.references, check_schema, validate, violations)
-
-
-def check_sources(
-    names: Sequence[str], applications: Sequence[str], charts: Path, registry: Path, undone: str = "submitted"
-) -> None:
-    """InputError names every mistake in what is about to be submitted (`robotkube registry validate` names those of
-    everything else too); `undone` is the word for what was not done with it."""
-    findings = validate_sources(source_folders.read_sources(registry, charts), validation_tools())
-    places = [f"{registry}/charts/{name}/" for name in names] + [f"{charts / name}/" for name in names]
-    places += [f"{registry}/applications/{name}.yaml/" for name in applications]
-    problems = [str(finding) for finding in findings if f"{finding.file}/".startswith(tuple(places))]
-    if places and problems:
-        mistakes = "1 mistake" if len(problems) == 1 else f"{len(problems)} mistakes"
-        raise InputError("\n".join([f"{mistakes} in the sources, nothing was {undone}:", *problems]))
 
 
 def all_charts(charts: Path) -> list[str]:

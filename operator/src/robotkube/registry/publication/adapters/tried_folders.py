@@ -40,10 +40,6 @@ class TriedFolder:
     charts: Path
     registry: Path
 
-    def check(self) -> None:
-        """InputError names every mistake in what is tried."""
-        submission_folders.check_sources(self.names, self.applications, self.charts, self.registry, "tried")
-
     def read(self, images: Mapping[str, str]) -> list[ChartSource]:
         """The charts, packed with `images`, and with a stand-in for each that is not among them."""
         sources = []
