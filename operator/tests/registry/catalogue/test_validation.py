@@ -22,6 +22,7 @@ from tests.stages.registry.registry_mistakes import (
     BRIDGE,
     CHARTS,
     FILES,
+    GONE,
     REACTION,
     RECORDING,
     REFERENCES,
@@ -114,6 +115,96 @@ def test_all_mistakes_come_at_once(folder: Path) -> None:
         "release.yaml: document",
     ):
         assert sum(wanted in text for text in found) == 1, found
+
+
+DETECTOR = "registry/charts/event-detector/0.2.2.yaml"
+
+
+def test_a_wrong_key_hides_only_what_depends_on_it(folder: Path) -> None:
+    """Mistakes of form, of names, of templates, of types and of the chart, in one document at once."""
+    both(
+        put(RECORDING, "spec.surprise", 1),
+        put(RECORDING, "spec.links[0].topics[0].depth", -5),
+        put(RECORDING, "spec.links[0].topics[1].type", "sensor_msgs/msg/PointCloud3"),
+        put(RECORDING, f"{REACTION}.trace", "{{ tusk.trace }}"),
+        put(RECORDING, "spec.services[0].values.detector.typo", 1),
+        put(RECORDING, "spec.services[0].chart.requirements", [{"guarantee": "stop-time", "atMost": 0, "unit": "s"}]),
+    )(folder)
+    assert [found.key for found in findings(folder, charts=True)] == [
+        "spec.surprise",
+        "spec.links[0].topics[0].depth",
+        "spec.services[0].chart.requirements[0]",
+        "spec.links[0].topics[1].type",
+        f"{REACTION}.trace",
+        "spec.services[0].values.detector",
+    ]
+
+
+def test_what_follows_from_a_wrong_key_is_not_said(folder: Path) -> None:
+    """Neither of a service without a name, nor of parameters that are no schema, nor of a document without a spec."""
+    service = "spec.services[0]"
+    for changes, keys in (
+        ([put(RECORDING, f"{service}.name", GONE)], [f"{service}.name"]),
+        ([put(RECORDING, "spec.parameters", {"type": "objekt"})], ["spec.parameters"]),
+        ([put(RECORDING, f"{service}.chart", {"nmae": "x"})], [f"{service}.chart.nmae", f"{service}.chart"]),
+        ([put(RECORDING, "spec.links[0].forEach", {"vehicle": 3})], ["spec.links[0].forEach.vehicle"]),
+        ([put(RECORDING, "spec", GONE)], ["spec"]),
+    ):
+        before = (folder / RECORDING).read_text()
+        both(*changes)(folder)
+        assert [found.key for found in findings(folder, charts=True)] == keys
+        (folder / RECORDING).write_text(before)
+
+
+def test_a_template_that_is_none_is_named_whatever_its_names_are(folder: Path) -> None:
+    put(RECORDING, "spec.parameters.properties.vehicles.type", "liste")(folder)
+    put(RECORDING, f"{REACTION}.recording", "{{ nothing }}")(folder)
+    assert [found.key for found in findings(folder)] == ["spec.parameters", f"{REACTION}.recording"]
+    put(RECORDING, "spec.parameters", [])(folder)
+    put(RECORDING, f"{REACTION}.recording", "{{ a")(folder)
+    assert [found.key for found in findings(folder)] == ["spec.parameters", f"{REACTION}.recording"]
+
+
+def test_a_wrong_key_of_an_entry_hides_neither_its_templates_nor_what_others_ask_of_it(folder: Path) -> None:
+    both(
+        put(DETECTOR, "spec.interfaces[0].name", GONE),
+        put(DETECTOR, "spec.interfaces[0].topic", "{{ topik.name }}"),
+        put(DETECTOR, "spec.images", ["python"]),
+        put(DETECTOR, "spec.replaces", "0.9.9"),
+        put(RECORDING, "spec.services[0].values.detector.typo", 1),
+        put(RECORDING, "spec.services[0].chart.version", ">=0.9.0"),
+    )(folder)
+    found = [(Path(one.file).name, one.key) for one in findings(folder, charts=True)]
+    assert found == [
+        ("pose-point-cloud-recording.yaml", "spec.services[0].chart.version"),
+        ("0.2.2.yaml", "spec.interfaces[0].name"),
+        ("0.2.2.yaml", "spec.replaces"),
+        ("0.2.2.yaml", "spec.interfaces[0].topic"),
+        ("0.2.2.yaml", "spec.images"),
+    ]
+
+
+def test_values_are_compared_with_a_chart_whose_entry_cannot_be_read(folder: Path) -> None:
+    (folder / DETECTOR).write_text("a: [")
+    put(RECORDING, "spec.services[0].values.detector.typo", 1)(folder)
+    found = [(Path(one.file).name, one.key) for one in findings(folder, charts=True)]
+    assert found == [
+        ("pose-point-cloud-recording.yaml", "spec.services[0].values.detector"),
+        ("0.2.2.yaml", "document"),
+    ]
+
+
+def test_every_file_of_a_chart_is_read(folder: Path) -> None:
+    chart = folder / "charts" / "event-detector"
+    for name, text in (("Chart.yaml", "name: a b\n"), ("values.yaml", "a: ["), ("values.schema.json", "{")):
+        (chart / name).write_text(text)
+    found = [(Path(one.file).name, one.text.partition(": ")[0]) for one in findings(folder, charts=True)]
+    assert found == [
+        ("Chart.yaml", "name 'a b' is malformed; write the name of the folder"),
+        ("Chart.yaml", "version is missing; write one such as 0.1.0"),
+        ("values.schema.json", "not readable as JSON"),
+        ("values.yaml", "not readable as YAML"),
+    ]
 
 
 def test_a_pattern_is_tried_with_texts_that_fit_it(folder: Path) -> None:

@@ -4,9 +4,10 @@ findings."""
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from robotkube.errors import DocumentError, InputError
 from robotkube.foundation.documents.core.json_codec import read_json
@@ -18,6 +19,8 @@ FILES_MAX = 10_000
 CHART_FILE, VALUES_FILE, SCHEMA_FILE = "Chart.yaml", "values.yaml", "values.schema.json"
 IMAGES_ANNOTATION = "robotkube.io/images"
 UNREAD = ("schemas", "images.yaml")  # folders and files of the registry that are no sources of the catalogue
+
+T = TypeVar("T")
 
 
 def read_sources(registry: Path, charts: Path | None = None) -> CatalogueSources:
@@ -70,40 +73,50 @@ def _text(path: Path) -> str:
 
 
 def _add_chart(folder: Path, folders: dict[str, ChartFolder], findings: list[SourceProblem]) -> None:
-    try:
-        chart = _chart(folder)
-    except DocumentError as error:
-        findings += [SourceProblem(error.where, "document", problem) for problem in error.problems]
-        return
-    if chart is None:
+    """Add the chart in a folder; what cannot be read in any of its files is a finding, and it is left out then."""
+    problems: list[SourceProblem] = []
+    chart = _part(lambda: _metadata(folder), problems)
+    values = _part(lambda: _values(folder / VALUES_FILE), problems)
+    schema = _part(lambda: _schema(folder / SCHEMA_FILE), problems)
+    findings += problems
+    if chart is None or problems:
         return
     if chart.name in folders:
         text = f"{chart.name} is also the name of {folders[chart.name].path}; rename one of the charts"
         findings.append(SourceProblem(f"{folder}/{CHART_FILE}", "name", text))
-    folders[chart.name] = chart
+    folders[chart.name] = replace(chart, values=values or {}, schema=schema)
 
 
-def _chart(folder: Path) -> ChartFolder | None:
-    """The chart in a folder; None for a library."""
+def _part(read: Callable[[], T], problems: list[SourceProblem]) -> T | None:
+    """One part of a chart; None when it cannot be read, which is added to the problems."""
+    try:
+        return read()
+    except DocumentError as error:
+        texts = [problem if ";" in problem else f"{problem}; correct it" for problem in error.problems]
+        problems += [SourceProblem(error.where, "document", text) for text in texts]
+        return None
+
+
+def _metadata(folder: Path) -> ChartFolder | None:
+    """The chart as Chart.yaml describes it; None for a library."""
     where = f"{folder}/{CHART_FILE}"
     metadata = read_mapping(_text(folder / CHART_FILE), where)
     if metadata.get("type") == "library":
         return None
     name, version = str(metadata.get("name", "")), str(metadata.get("version", ""))
-    if not NAME.fullmatch(name) or not VERSION.fullmatch(version):
-        raise DocumentError(
-            where, [f"name {name!r:.80} or version {version!r:.80} is missing or malformed; correct it"]
+    wrong = [
+        f"{key} {f'{value!r:.80} is malformed' if value else 'is missing'}; write {fix}"
+        for key, value, pattern, fix in (
+            ("name", name, NAME, "the name of the folder"),
+            ("version", version, VERSION, "one such as 0.1.0"),
         )
+        if not pattern.fullmatch(value)
+    ]
+    if wrong:
+        raise DocumentError(where, wrong)
     annotations = metadata.get("annotations")
     images = annotations.get(IMAGES_ANNOTATION) if isinstance(annotations, Mapping) else None
-    return ChartFolder(
-        str(folder),
-        name,
-        version,
-        tuple(str(images).split()) if images is not None else None,
-        _values(folder / VALUES_FILE),
-        _schema(folder / SCHEMA_FILE),
-    )
+    return ChartFolder(str(folder), name, version, tuple(str(images).split()) if images is not None else None)
 
 
 def _values(path: Path) -> Mapping[str, Any]:

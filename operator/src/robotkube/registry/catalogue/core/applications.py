@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
+from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.entry_reader import EntryReader, read_one_of, read_words
 from robotkube.foundation.documents.core.patterns import (
     CAPABILITY,
@@ -134,9 +135,18 @@ class Application:
         return tuple(word.removeprefix("link/") for word in self.provides if word.startswith("link/"))
 
 
-@lru_cache(DOCUMENTS_CACHED_MAX)
 def read_application(text: str, path: str) -> Application:
     """An application of the catalogue; its name is the file's name. DocumentError names every problem."""
+    application, problems = read_application_partly(text, path)
+    if problems:
+        raise DocumentError(path, problems)
+    return application
+
+
+@lru_cache(DOCUMENTS_CACHED_MAX)
+def read_application_partly(text: str, path: str) -> tuple[Application, tuple[str, ...]]:
+    """An application as far as it can be read, and every problem: what has one is empty. DocumentError when the text
+    is no mapping in YAML."""
     reader = EntryReader(path)
     document, name = read_head(reader, text, "Application")
     spec = reader.mapping(
@@ -145,7 +155,8 @@ def read_application(text: str, path: str) -> Application:
         ["description", "provides", "parameters"],
         ["initialFor", "agents", "services", "links"],
     )
-    reader.equal(path, "path", f"applications/{name}.yaml")
+    if name:
+        reader.equal(path, "path", f"applications/{name}.yaml")
     parameters = spec.get("parameters")
     if not isinstance(parameters, Mapping) or parameters.get("type") != "object":
         reader.problems.append("spec.parameters: must be a JSON Schema of type object")
@@ -164,8 +175,7 @@ def read_application(text: str, path: str) -> Application:
         agents=_agent_lists(reader, spec.get("agents")),
         digest=document_digest(text),
     )
-    reader.finish()
-    return application
+    return application, tuple(reader.problems)
 
 
 def _agent_lists(reader: Reader, value: Any) -> Mapping[str, AgentList]:
@@ -191,7 +201,7 @@ def _agent_list(reader: Reader, value: Any, path: str) -> AgentList:
 def _consistency(reader: Reader, services: Sequence[Service], links: Sequence[Link]) -> None:
     names = [service.name for service in services]
     reader.problems += [f"spec.services: name {n!r} stands twice" for n in sorted(set(names)) if names.count(n) > 1]
-    for index, link in enumerate(links):
+    for index, link in enumerate(links if all(names) else ()):
         for end in (link.source, link.target):
             if "service" in end and end["service"] not in names:
                 reader.problems.append(f"spec.links[{index}]: service {end['service']!r} is not among spec.services")

@@ -37,7 +37,7 @@ _INTERFACE_TEMPLATES = ("topic", "type", "qos", "encoding")
 
 def chart_problems(version: ChartVersion, folder: ChartFolder | None, tools: Tools) -> Iterator[Problem]:
     """What is wrong with one version; `folder` is its chart, None when there is none of this version."""
-    yield from _interface_names(version, tools)
+    yield from interface_names(version, tools)
     filled, problems = _filled_sets(version, tools)
     yield from problems
     if folder is None:
@@ -49,7 +49,8 @@ def chart_problems(version: ChartVersion, folder: ChartFolder | None, tools: Too
         yield from _topics(version, folder, filled, tools)
 
 
-def _interface_names(version: ChartVersion, tools: Tools) -> Iterator[Problem]:
+def interface_names(version: ChartVersion, tools: Tools) -> Iterator[Problem]:
+    """Unknown names in the templates of a version's interfaces."""
     for index, interface in enumerate(version.interfaces):
         path = f"spec.interfaces[{index}]"
         variables = frozenset(interface.get("forEach") or ())

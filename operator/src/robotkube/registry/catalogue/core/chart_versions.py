@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
+from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.entry_reader import EntryReader, read_one_of, read_words
 from robotkube.foundation.documents.core.patterns import (
     CAPABILITY,
@@ -109,23 +110,32 @@ def _digest(reference: str) -> str:
     return reference.rpartition("@")[2]
 
 
-@lru_cache(DOCUMENTS_CACHED_MAX)
 def read_chart_version(text: str, path: str, published: bool = True) -> ChartVersion:
     """The chart version in `text`; its path says chart and version. DocumentError names every problem.
 
     `published`: it comes from the catalogue repository and must have a status; a source must not have one."""
+    version, problems = read_chart_version_partly(text, path, published)
+    if problems:
+        raise DocumentError(path, problems)
+    return version
+
+
+@lru_cache(DOCUMENTS_CACHED_MAX)
+def read_chart_version_partly(text: str, path: str, published: bool) -> tuple[ChartVersion, tuple[str, ...]]:
+    """The chart version as far as it can be read, and every problem: what has one is empty. DocumentError when the text
+    is no mapping in YAML."""
     reader = EntryReader(path)
     document, chart = read_head(reader, text, "ChartVersion", ["status"])
     spec = reader.mapping(
         document.get("spec") or {}, "spec", ["version", "description", "channel", "platforms", "images"], _OPTIONAL
     )
     version = reader.word(spec.get("version"), "spec.version", VERSION)
-    reader.equal(path, "path", f"charts/{chart}/{version}.yaml")
+    if chart and version:
+        reader.equal(path, "path", f"charts/{chart}/{version}.yaml")
     attributes = {**_spec(reader, spec), **_status(reader, document, published)}
     _suite_images(reader, attributes["images"], attributes["suites"])
-    reader.finish()
-    entry = published_digest(spec, attributes["image_references"]) if published else ""
-    return ChartVersion(chart, version, entry=entry, **attributes)
+    entry = published_digest(spec, attributes["image_references"]) if published and not reader.problems else ""
+    return ChartVersion(chart, version, entry=entry, **attributes), tuple(reader.problems)
 
 
 def _spec(reader: Reader, spec: Mapping[str, Any]) -> dict[str, Any]:

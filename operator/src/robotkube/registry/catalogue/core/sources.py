@@ -8,6 +8,7 @@ from typing import Any
 
 from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.value_templates import Render
+from robotkube.registry.catalogue.core.wrong_keys import without_consequences
 
 TEXT_CHARACTERS_MAX = 600
 
@@ -74,7 +75,7 @@ class Tools:
 def findings_of(sources: CatalogueSources, path: str, error: DocumentError) -> list[SourceProblem]:
     """The problems of one unreadable file; each begins with its key, or concerns the whole document."""
     findings = []
-    for problem in error.problems:
+    for problem in without_consequences(error.problems):
         key, separator, text = problem.partition(": ")
         if not separator or " " in key:
             key = "document"

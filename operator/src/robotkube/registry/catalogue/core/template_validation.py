@@ -21,6 +21,7 @@ from robotkube.registry.catalogue.core.links.end_validation import end_problems
 from robotkube.registry.catalogue.core.links.loops import link_variables, repetitions
 from robotkube.registry.catalogue.core.message_types.carried import value_types
 from robotkube.registry.catalogue.core.sources import ChartFolder, Tools, dotted
+from robotkube.registry.catalogue.core.wrong_keys import NOTHING_WRONG, WrongKeys
 from robotkube.registry.charts.core.values_schemas import overlay
 
 Problem = tuple[str, str]
@@ -28,6 +29,7 @@ Problem = tuple[str, str]
 
 LOOPS_TRIED_MAX = 3
 SHOWN_CHARACTERS_MAX = 120
+EXPRESSION = "write an expression of docs/reference/contracts.md"
 CHART_NAMES = ("name", "version", "digest")
 TASK_NAMES = ("name", "namespace", "event", "rule", "trace", "time", "requester")
 AGENT, OTHER_AGENT = "vehicle-00", "vehicle-01"
@@ -43,12 +45,19 @@ _TOPIC = {
 
 
 def application_problems(
-    application: Application, folders: Mapping[str, Sequence[ChartFolder]], tools: Tools
+    application: Application,
+    folders: Mapping[str, Sequence[ChartFolder]],
+    tools: Tools,
+    wrong: WrongKeys = NOTHING_WRONG,
 ) -> list[Problem]:
-    """Every problem of the templates; `folders` are, per service, the charts that it may get."""
+    """Every problem of the templates; `folders` are, per service, the charts that it may get. What follows from keys
+    that are `wrong` already is left out."""
+    named = list(name_problems(application, tools, wrong))
+    if wrong.touch_names:
+        return named
     sampler = Sampler(application.parameters, tools.validate)
     unsampled = list(_sampling(sampler))
-    problems = [*unsampled, *_unknown_names(application, tools)]
+    problems = [*unsampled, *named]
     reported = {key for key, _ in problems}
     samples = sampler.objects()
     if unsampled and not samples:
@@ -59,12 +68,15 @@ def application_problems(
             problem
             for sample in samples
             for listed in _listed(application)
-            for problem in _Trial(application, {**names, **listed}, sample, folders, tools).problems()
+            for problem in wrong.free(
+                _Trial(application, {**names, **listed}, sample, folders, tools, wrong).problems()
+            )
         ]
         for names in _modes(application)
     ]
     best = min(tries, key=lambda attempt: len({key for key, _ in attempt}))
-    for key, text in [*best, *_circles(application, samples, tools)]:
+    circles = () if wrong.touch("spec.links") else _circles(application, samples, tools)
+    for key, text in [*best, *circles]:
         if key not in reported:
             reported.add(key)
             problems.append((key, text))
@@ -124,6 +136,20 @@ def _unknown_names(application: Application, tools: Tools) -> Iterator[Problem]:
         yield from unknown_references(path, text, keys, variables, tools)
 
 
+def name_problems(application: Application, tools: Tools, wrong: WrongKeys) -> Iterator[Problem]:
+    """Names and keys that no demand will ever have, and templates that are none."""
+    return _syntax(application, tools) if wrong.touch_names else _unknown_names(application, tools)
+
+
+def _syntax(application: Application, tools: Tools) -> Iterator[Problem]:
+    """Templates that are none, whatever names there are."""
+    for path, text, _ in _texts(application):
+        try:
+            tools.references(text)
+        except DocumentError as error:
+            yield path, f"{error}; {EXPRESSION}"
+
+
 def unknown_references(
     path: str, text: str, keys: Mapping[str, Iterable[str] | None], variables: frozenset[str], tools: Tools
 ) -> Iterator[Problem]:
@@ -131,7 +157,7 @@ def unknown_references(
     try:
         references = tools.references(text)
     except DocumentError as error:
-        yield path, f"{error}; write an expression of docs/reference/contracts.md"
+        yield path, f"{error}; {EXPRESSION}"
         return
     for name, *rest in sorted(references):
         known = keys.get(name)
@@ -184,6 +210,7 @@ class _Trial:
     sample: Mapping[str, Any]
     folders: Mapping[str, Sequence[ChartFolder]]
     tools: Tools
+    wrong: WrongKeys
     placed: dict[str, str] = field(default_factory=dict)
 
     def problems(self) -> Iterator[Problem]:
@@ -195,6 +222,8 @@ class _Trial:
         for index, link in enumerate(self.application.links):
             for key, text in self._link(link, f"spec.links[{index}]"):
                 yield key, text + hint
+        if self.wrong.touch("spec.links") or self.wrong.touch("spec.services"):
+            return
         for key, text in end_problems(self.application, self._given(), self.folders, self.tools):
             yield key, text + hint
 
@@ -218,9 +247,10 @@ class _Trial:
             its_chart = dict(zip(CHART_NAMES, ("chart", "0.0.0", "sha256:0"), strict=True))
             values, problems = rendered(service.values, f"{path}.values", {**scope, "chart": its_chart}, self.tools)
             yield from problems
-            if not problems:
-                for folder in self.folders.get(service.name, ()):
-                    yield from value_problems(folder, values, f"{path}.values", self.tools)
+            unfilled = WrongKeys(tuple(key for key, _ in problems))
+            for folder in self.folders.get(service.name, ()):
+                yield from unfilled.beside(value_problems(folder, values, f"{path}.values", self.tools))
+                if not problems:
                     yield from value_types(folder, values, f"{path}.values", self.tools.render)
 
     def _release_name(self, service: Service, path: str, scope: Mapping[str, Any]) -> Iterator[Problem]:

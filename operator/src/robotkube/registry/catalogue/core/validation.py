@@ -7,18 +7,25 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from robotkube.errors import DocumentError
-from robotkube.registry.catalogue.core.applications import Application, ChartRequirement, read_application
+from robotkube.registry.catalogue.core.applications import Application, ChartRequirement, read_application_partly
 from robotkube.registry.catalogue.core.catalogue import RELEASE_POLICY, VERIFICATION_POLICY, read_release_policy
-from robotkube.registry.catalogue.core.chart_validation import chart_problems, folder_findings
-from robotkube.registry.catalogue.core.chart_versions import ChartVersion, read_chart_version
+from robotkube.registry.catalogue.core.chart_validation import chart_problems, folder_findings, interface_names
+from robotkube.registry.catalogue.core.chart_versions import ChartVersion, read_chart_version_partly
 from robotkube.registry.catalogue.core.guarantees import shortfall
 from robotkube.registry.catalogue.core.message_types.carried import link_problems
 from robotkube.registry.catalogue.core.sources import CatalogueSources, ChartFolder, SourceProblem, Tools, findings_of
-from robotkube.registry.catalogue.core.template_validation import application_problems
+from robotkube.registry.catalogue.core.template_validation import application_problems, name_problems
 from robotkube.registry.catalogue.core.upgrade_graph import upgrade_problems
 from robotkube.registry.catalogue.core.versions import in_range, version_key
+from robotkube.registry.catalogue.core.wrong_keys import NOTHING_WRONG, WrongKeys, readable_parts, wrong_keys
 from robotkube.registry.evidence.core.verification_policy import read_verification_policy
 
+COMPARED = (
+    "metadata",
+    "path",
+    *(f"spec.{key}" for key in ("version", "channel", "replaces", "skips", "provides", "guarantees")),
+)
+"""Keys of a chart version by which other documents are judged."""
 BESIDES = ("README.md", "schemas/")
 APPLICATION_FORMAT = "application"
 """`format` of a parameter whose value names an application of the catalogue."""
@@ -26,12 +33,18 @@ APPLICATION_FORMAT = "application"
 
 @dataclass
 class _Readable:
-    """What could be read; `broken` are charts of which a file could not."""
+    """What could be read; `broken` are charts of which a file could not, `partly` documents that could in part, with
+    their keys that are wrong, by path."""
 
     applications: dict[str, Application] = field(default_factory=dict)
     charts: dict[str, list[ChartVersion]] = field(default_factory=dict)
     broken: set[str] = field(default_factory=set)
     names: set[str] = field(default_factory=set)
+    partly: dict[str, tuple[Application | ChartVersion, WrongKeys]] = field(default_factory=dict)
+
+    def is_compared(self, path: str) -> bool:
+        """Whether of a chart version that could be read in part nothing is wrong by which others are judged."""
+        return path in self.partly and not any(map(self.partly[path][1].touch, COMPARED))
 
 
 def validate_sources(sources: CatalogueSources, tools: Tools) -> list[SourceProblem]:
@@ -43,10 +56,12 @@ def validate_sources(sources: CatalogueSources, tools: Tools) -> list[SourceProb
     findings += [sources.finding(path, "file", "missing; write it") for path in _missing(sources)]
     for application in readable.applications.values():
         path = f"applications/{application.name}.yaml"
-        problems = _application(application, readable, sources, tools)
+        problems = _application(application, NOTHING_WRONG, readable, sources, tools)
         findings += [sources.finding(path, key, text) for key, text in problems]
     for chart, versions in readable.charts.items():
         findings += _versions(chart, versions, readable, sources, tools)
+    for path in readable.partly:
+        findings += [sources.finding(path, *problem) for problem in _part(path, readable, sources, tools)]
     findings += folder_findings(sources, readable.charts, readable.broken)
     return sorted(dict.fromkeys(findings), key=lambda finding: finding.file)
 
@@ -59,10 +74,9 @@ def _read(path: str, sources: CatalogueSources, readable: _Readable) -> list[Sou
             return _foreign(path, sources)
         if parts[0] == "applications" and len(parts) == 2:
             readable.names.add(parts[1])
-            readable.applications[parts[1]] = read_application(text, path)
+            _read_application(text, path, parts[1], readable)
         elif parts[0] == "charts" and len(parts) == 3:
-            version = read_chart_version(text, path, published=False)
-            readable.charts.setdefault(parts[1], []).append(version)
+            _read_chart_version(text, path, parts[1], readable)
         elif path == RELEASE_POLICY:
             read_release_policy(text, path)
         elif path == VERIFICATION_POLICY:
@@ -70,10 +84,30 @@ def _read(path: str, sources: CatalogueSources, readable: _Readable) -> list[Sou
         else:
             return _foreign(path, sources)
     except DocumentError as error:
-        if parts[0] == "charts":
+        if parts[0] == "charts" and not readable.is_compared(path):
             readable.broken.add(parts[1])
         return findings_of(sources, path, error)
     return []
+
+
+def _read_application(text: str, path: str, name: str, readable: _Readable) -> None:
+    """Note the application, or the parts of it that can be read; DocumentError names what cannot."""
+    application, problems = read_application_partly(text, path)
+    if problems:
+        readable.partly[path] = application, wrong_keys(problems)
+        raise DocumentError(path, problems)
+    readable.applications[name] = application
+
+
+def _read_chart_version(text: str, path: str, chart: str, readable: _Readable) -> None:
+    """Note the chart version, or the parts of it that can be read; DocumentError names what cannot."""
+    version, problems = read_chart_version_partly(text, path, False)
+    if problems:
+        readable.partly[path] = version, wrong_keys(problems)
+    if not problems or readable.is_compared(path):
+        readable.charts.setdefault(chart, []).append(version)
+    if problems:
+        raise DocumentError(path, problems)
 
 
 def _foreign(path: str, sources: CatalogueSources) -> list[SourceProblem]:
@@ -89,21 +123,37 @@ def _missing(sources: CatalogueSources) -> list[str]:
     return [path for path in (RELEASE_POLICY, VERIFICATION_POLICY) if path not in sources.files]
 
 
+def _part(path: str, readable: _Readable, sources: CatalogueSources, tools: Tools) -> Iterator[tuple[str, str]]:
+    """Mistakes in the parts of a document that could be read."""
+    document, wrong = readable.partly[path]
+    if isinstance(document, Application):
+        return wrong.free(_application(document, wrong, readable, sources, tools))
+    _, chart, file = path.split("/")
+    folder = sources.folders.get(chart)
+    same = folder if folder and folder.version == file.removesuffix(".yaml") else None
+    of_parts = chart_problems(readable_parts(document, wrong), same, tools)
+    return wrong.free([*interface_names(document, tools), *of_parts])
+
+
 def _application(
-    application: Application, readable: _Readable, sources: CatalogueSources, tools: Tools
+    application: Application, wrong: WrongKeys, readable: _Readable, sources: CatalogueSources, tools: Tools
 ) -> Iterator[tuple[str, str]]:
     broken = [problem.removeprefix("schema: ") for problem in tools.check_schema(application.parameters)]
     yield from (("spec.parameters", f"no JSON Schema: {problem:.300}; correct it") for problem in broken)
     folders: dict[str, Sequence[ChartFolder]] = {}
     for index, service in enumerate(application.services):
+        if wrong.touch(f"spec.services[{index}].chart"):
+            continue
         problems = list(_requirement(service.chart, readable))
         yield from ((f"spec.services[{index}].chart{key}", text) for key, text in problems)
         folders[service.name] = _folders(service.chart, readable, sources)
     yield from _bridging(application, readable)
     yield from link_problems(application)
-    if not broken:
-        yield from _named_applications(application.parameters, readable)
-        yield from application_problems(application, folders, tools)
+    if broken:
+        yield from name_problems(application, tools, wrong)
+        return
+    yield from _named_applications(application.parameters, readable)
+    yield from application_problems(application, folders, tools, wrong)
 
 
 def _requirement(wanted: ChartRequirement, readable: _Readable) -> Iterator[tuple[str, str]]:
@@ -144,12 +194,23 @@ def _folders(wanted: ChartRequirement, readable: _Readable, sources: CatalogueSo
     """The charts next to the registry that the service may get."""
     folders = []
     for folder in sources.folders.values():
-        version = next((v for v in readable.charts.get(folder.name, ()) if v.version == folder.version), None)
-        if version is None or not in_range(version.version, wanted.version):
+        if not in_range(folder.version, wanted.version):
             continue
-        if wanted.name == folder.name or (wanted.provides and wanted.provides in version.provides):
-            folders.append(replace(folder, interfaces=version.interfaces, entry_images=version.images))
+        version = next((v for v in readable.charts.get(folder.name, ()) if v.version == folder.version), None)
+        if version is None:
+            if wanted.name == folder.name and folder.name in readable.broken:
+                folders.append(folder)
+        elif wanted.name == folder.name or (wanted.provides and wanted.provides in version.provides):
+            folders.append(_with_entry(folder, version, readable))
     return folders
+
+
+def _with_entry(folder: ChartFolder, version: ChartVersion, readable: _Readable) -> ChartFolder:
+    """The folder with what can be read of the entry."""
+    path = f"charts/{version.chart}/{version.version}.yaml"
+    if path in readable.partly:
+        version = readable_parts(version, readable.partly[path][1])
+    return replace(folder, interfaces=version.interfaces, entry_images=version.images)
 
 
 def _bridging(application: Application, readable: _Readable) -> Iterator[tuple[str, str]]:
@@ -182,6 +243,8 @@ def _versions(
 ) -> Iterator[SourceProblem]:
     for version in versions:
         path = f"charts/{chart}/{version.version}.yaml"
+        if path in readable.partly:
+            continue
         folder = sources.folders.get(chart)
         same = folder if folder and folder.version == version.version else None
         for key, text in chart_problems(version, same, tools):
