@@ -21,6 +21,8 @@ from robotkube.registry.publication.adapters.submission_folders import validatio
 from tests.stages.paths import REPOSITORY
 
 Written = Callable[..., Path]
+CHARTS = ("mqtt-bridge", "object-detection")
+BRIDGE = "mqtt-bridge.yaml"
 DETECTION = {"cloud": "/vehicles/a/cloud", "objects": "/vehicles/a/objects", "uncertainty": "/vehicles/a/uncertainty"}
 
 
@@ -38,10 +40,15 @@ def link(source: Mapping[str, str], target: Mapping[str, str], topic: str) -> di
 
 @pytest.fixture
 def written(tmp_path: Path) -> Written:
-    """Writes the application `sample` beside the project's; the registry's folder."""
+    """Writes the application `sample` beside the bridge's, with the charts of both; the registry's folder."""
     registry = tmp_path / "registry"
-    shutil.copytree(REPOSITORY / "registry", registry)
-    (tmp_path / "charts").symlink_to(REPOSITORY / "charts")
+    (tmp_path / "charts" / "apps").mkdir(parents=True)
+    for name in CHARTS:
+        shutil.copytree(REPOSITORY / "registry" / "charts" / name, registry / "charts" / name)
+        (tmp_path / "charts" / "apps" / name).symlink_to(REPOSITORY / "charts" / "apps" / name)
+    shutil.copytree(REPOSITORY / "registry" / "policies", registry / "policies")
+    (registry / "applications").mkdir()
+    shutil.copy(REPOSITORY / "registry" / "applications" / BRIDGE, registry / "applications")
 
     def write(*services: Mapping[str, Any], links: tuple[Any, ...] = (), **properties: Any) -> Path:
         parameters = {"type": "object", "additionalProperties": False, "properties": properties}
@@ -119,15 +126,14 @@ def test_of_what_validation_names_already_nothing_more_is_said(written: Written)
 def test_a_bridge_that_cannot_be_read_says_nothing_of_what_it_would_carry(written: Written) -> None:
     registry = written(links=(link(HERE, THERE, "/vehicles/vehicle_00/objects"),))
     assert problems(registry) == []
-    (registry / "applications" / "mqtt-bridge.yaml").write_text("a: b\n")
-    assert {problem.partition(": ")[0] for problem in problems(registry)} == {"applications/mqtt-bridge.yaml"}
+    (registry / "applications" / BRIDGE).write_text("a: b\n")
+    assert {problem.partition(": ")[0] for problem in problems(registry)} == {f"applications/{BRIDGE}"}
 
 
 def test_the_time_is_bounded(written: Written) -> None:
     sources = read_sources(written(service("one", HERE)))
     composed = compose_sources(sources, (), validation_tools(), lambda: True)
-    names = sorted(path.stem for path in (REPOSITORY / "registry" / "applications").glob("*.yaml"))
-    assert composed == SourceCompositions((), tuple(sorted([*names, "sample"])))
+    assert composed == SourceCompositions((), ("mqtt-bridge", "sample"))
 
 
 def test_the_commands_say_it(written: Written, capsys: pytest.CaptureFixture[str]) -> None:

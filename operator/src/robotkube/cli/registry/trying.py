@@ -2,7 +2,8 @@
 need a cluster in test namespaces of its own on the cluster of the kubeconfig.
 
 Ends with 0 when what was run passed, 1 when a suite failed, 2 when something in the sources is wrong, 3 when a suite
-came to no end. Suites that were not run are named with the reason and change nothing of that.
+came to no end, 4 when the suite `static`, which needs nothing but the program helm, was not run. Other suites that were
+not run are named with the reason and change nothing of that.
 """
 
 from __future__ import annotations
@@ -131,7 +132,16 @@ def _table(tried: Sequence[TriedSuite], charts: Sequence[ChartSource], applicati
     text = "\n".join([*lines(table), *_failures(tried), *_not_run(rows), *_without_soak(tried)])
     refusal = f"failed: {', '.join(failed)}" if failed else ""
     unreachable = f"came to no end: {', '.join(unfinished)}" if unfinished else ""
-    return Table("suites", COLUMNS, rows, text=f"{text}\n", refusal=refusal, unreachable=unreachable)
+    problems = {"refusal": refusal, "unreachable": unreachable, "reservation": _reservation(tried)}
+    return Table("suites", COLUMNS, rows, text=f"{text}\n", **problems)
+
+
+def _reservation(tried: Sequence[TriedSuite]) -> str:
+    """What was not proved, although this machine alone could: the suite that needs no platform was not run."""
+    reasons = {one.chart: one.reason for one in tried if (one.suite, one.outcome) == (StaticSuite.name, NOT_RUN)}
+    if not reasons:
+        return ""
+    return f"nothing is proved: {StaticSuite.name} of {', '.join(reasons)} was not run: {next(iter(reasons.values()))}"
 
 
 def _row(one: TriedSuite) -> dict[str, Any]:
