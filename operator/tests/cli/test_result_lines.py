@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import io
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,11 +17,14 @@ from robotkube.cli import main
 from robotkube.cli.registry import submit
 from robotkube.cli.registry.result_lines import ResultLines
 from robotkube.errors import UnavailableError
+from robotkube.foundation.documents.core.times import second_text, time_ns
 from robotkube.registry.publication.core.report_results import ReportedResult
 from robotkube.registry.publication.loops.submitting import PUBLISHED, REFUSED, SubmissionOutcome
+from tests.stages.paths import REPOSITORY
 
 PASSED = ReportedResult("relay 0.1.0", "static 2", "passed", 2.13, "2026-11-26T06:13:26Z")
 FAILED = ReportedResult("relay 0.1.0", "install 2", "failed", None, "", ("stops", "upgrades"))
+PAGE = REPOSITORY / "docs" / "reference" / "publication.md"
 SEEN = "2026-11-26T06:14:00Z"
 
 
@@ -39,6 +43,21 @@ def test_one_line_for_each_result_with_its_own_time() -> None:
         "2026-11-26T06:14:00Z  relay 0.1.0  install 2  failed  -  stops, upgrades",
         "2026-11-26T06:14:00Z  http://forge/pulls/1  refused",
     ]
+
+
+def test_the_manual_shows_what_the_command_writes() -> None:
+    [example] = re.findall(r"### Results as they come\n.*?```text\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    stream = io.StringIO()
+    start = time_ns("2026-11-26T06:14:13.482913Z")
+    lines = ResultLines("table", stream, lambda: second_text(start))
+    for suite, result, seconds, ended, checks in (
+        ("static 2", "passed", 2.13, "2026-11-26T06:13:26Z", ()),
+        ("images 2", "passed", 3.41, "2026-11-26T06:13:31Z", ()),
+        ("install 2", "failed", 38.04, "2026-11-26T06:14:12Z", ("keeps-running",)),
+    ):
+        lines.result(ReportedResult("text-relay 0.1.0", suite, result, seconds, ended, checks))
+    lines.verdict(REFUSED, "http://forge/robotkube/catalogue/pulls/7")
+    assert example == stream.getvalue()
 
 
 def test_programs_get_one_document_for_each() -> None:
@@ -72,6 +91,7 @@ def test_the_command_writes_results_and_ends_as_without(
     lines = out.splitlines()
     assert lines[0] == "2026-11-26T06:13:26Z  relay 0.1.0  static 2  passed  2.1 s"
     assert [line.split()[-1] for line in lines[1:]] == ([] if verdict == "late" else [verdict])
+    assert all(re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", line.split()[0]) for line in lines)  # one column
     assert ("refused by the gate, see its report above and at http://forge/pulls/1" in err) == (verdict == REFUSED)
 
 

@@ -21,7 +21,7 @@ from robotkube.cli.platform import Platform
 from robotkube.cli.registry.result_lines import ResultLines
 from robotkube.cli.registry.source_problems import check_sources
 from robotkube.errors import InputError, RobotKubeError
-from robotkube.foundation.documents.core.times import time_text
+from robotkube.foundation.documents.core.times import second_text
 from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter
 from robotkube.foundation.forge.adapters.hosts.gitea import GiteaForge
 from robotkube.foundation.forge.ports.pull_requests import PullRequest
@@ -84,7 +84,7 @@ def submit(options: argparse.Namespace) -> Table | None:
     applications = folders.all_applications(options.registry) if options.all else options.application
     check_sources(names, applications, options.charts_folder, options.registry, "submitted")
     sources = folders.read_sources(names, applications, options.charts_folder, options.registry, images, options.kept)
-    lines = ResultLines(options.output, sys.stdout, lambda: time_text(time.time_ns())) if options.watch else None
+    lines = ResultLines(options.output, sys.stdout, lambda: second_text(time.time_ns())) if options.watch else None
     outcome = submit_sources(
         access,
         sources,

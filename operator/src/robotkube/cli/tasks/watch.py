@@ -19,6 +19,7 @@ WATCH_SECONDS_MAX = 86_400.0
 SYNC_SECONDS_MAX = 15.0
 CHANGES_MAX = 10_000
 COMPLAIN_SECONDS = 5.0
+TIME_CHARACTERS_MAX = 27  # with microseconds; those of the cluster have none
 
 ConditionChange = Mapping[str, str]
 
@@ -91,6 +92,8 @@ def write_change(change: ConditionChange, form: str, stream: TextIO) -> None:
     elif form == "yaml":
         stream.write(f"---\n{write_mapping(dict(change))}")
     else:
-        head = f"{change['time'] or '-':20}  {change['task']}  {change['condition']}={change['status']}"
+        head = (
+            f"{change['time'] or '-':{TIME_CHARACTERS_MAX}}  {change['task']}  {change['condition']}={change['status']}"
+        )
         stream.write(f"{head}  {change['reason']}  {' '.join(change['message'].split())}".rstrip() + "\n")
     stream.flush()

@@ -12,7 +12,6 @@ import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +31,7 @@ from robotkube.errors import DocumentError, UnavailableError
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.foundation.documents.core.patterns import CHARTS_URL, HTTP_URL, WORD
 from robotkube.foundation.documents.core.reader import Reader
+from robotkube.foundation.documents.core.times import second_text
 from robotkube.foundation.forge.adapters.git import GitNotes
 from robotkube.foundation.forge.adapters.push_hooks import PushRelay, SignedPushHook
 from robotkube.foundation.forge.connect import ForgeAddress, read_forge
@@ -354,7 +354,7 @@ def build_server(
 
 
 def _now() -> str:
-    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    return second_text(time.time_ns())
 
 
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
