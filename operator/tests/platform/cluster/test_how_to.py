@@ -87,7 +87,7 @@ def running(platform: Platform) -> set[str]:
 def test_page_leads_from_nothing_to_running_pods(platform: Platform, folder: Path) -> None:
     surroundings = environment(platform, folder)
     todo = list(steps(0))
-    assert [step.path for step in todo if step.path] == ["registry/applications/greeting.yaml", "task.yaml"]
+    assert [step.path for step in todo if step.path] == ["registry/applications/greeting.yaml", "task.yaml", "hear.py"]
     for step in todo:
         if step.path:
             (folder / step.path).write_text(step.text, encoding="utf-8")
