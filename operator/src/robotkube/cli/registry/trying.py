@@ -132,8 +132,8 @@ def _table(tried: Sequence[TriedSuite], charts: Sequence[ChartSource], applicati
     text = "\n".join([*lines(table), *_failures(tried), *_not_run(rows), *_without_soak(tried)])
     refusal = f"failed: {', '.join(failed)}" if failed else ""
     unreachable = f"came to no end: {', '.join(unfinished)}" if unfinished else ""
-    problems = {"refusal": refusal, "unreachable": unreachable, "reservation": _reservation(tried)}
-    return Table("suites", COLUMNS, rows, text=f"{text}\n", **problems)
+    unproved = _reservation(tried)
+    return Table("suites", COLUMNS, rows, False, refusal, unreachable, unproved, f"{text}\n")
 
 
 def _reservation(tried: Sequence[TriedSuite]) -> str:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
+from dataclasses import replace
 from typing import Any
 
 from robotkube.errors import DocumentError
+from robotkube.foundation.documents.core.wrong_keys import WrongKeys
 from robotkube.registry.catalogue.core.chart_versions import ChartVersion
 from robotkube.registry.catalogue.core.expected_topics import (
     OUT,
@@ -47,6 +49,14 @@ def chart_problems(version: ChartVersion, folder: ChartFolder | None, tools: Too
         yield from value_problems(folder, values, f"spec.suites.sets[{index}].values", tools)
     if not problems:
         yield from _topics(version, folder, filled, tools)
+
+
+def readable_parts(version: ChartVersion, wrong: WrongKeys) -> ChartVersion:
+    """The version without the parts in which a key is wrong."""
+    interfaces = () if wrong.touch("spec.interfaces") else version.interfaces
+    suites = {} if wrong.touch("spec.suites") else version.suites
+    success = version.success if interfaces and not wrong.touch(PATH) else None
+    return replace(version, interfaces=interfaces, suites=suites, success=success)
 
 
 def interface_names(version: ChartVersion, tools: Tools) -> Iterator[Problem]:

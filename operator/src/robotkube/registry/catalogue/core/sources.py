@@ -8,7 +8,8 @@ from typing import Any
 
 from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.value_templates import Render
-from robotkube.registry.catalogue.core.wrong_keys import without_consequences
+from robotkube.foundation.documents.core.wrong_keys import without_consequences
+from robotkube.registry.charts.core.values_schemas import Validate
 
 TEXT_CHARACTERS_MAX = 600
 
@@ -68,7 +69,7 @@ class Tools:
     render: Render
     references: Callable[[str], frozenset[tuple[str, ...]]]
     check_schema: Callable[[Mapping[str, Any]], Sequence[str]]
-    validate: Callable[[Mapping[str, Any], Any], Sequence[str]]
+    validate: Validate
     violations: Callable[[Mapping[str, Any], Any], Sequence[tuple[Path, str]]]
 
 

@@ -4,6 +4,7 @@ placements or values that their charts refuse.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
@@ -14,6 +15,7 @@ from robotkube.foundation.documents.core.defaults import with_defaults
 from robotkube.foundation.documents.core.patterns import NAME
 from robotkube.foundation.documents.core.schema_samples import Sampler
 from robotkube.foundation.documents.core.value_templates import FOR_EACH_KEYS, expand_for_each
+from robotkube.foundation.documents.core.wrong_keys import NOTHING_WRONG, WrongKeys
 from robotkube.foundation.documents.core.yaml_codec import join
 from robotkube.registry.catalogue.core.applications import Application, Link, Service
 from robotkube.registry.catalogue.core.links.circles import circle_problems
@@ -21,7 +23,6 @@ from robotkube.registry.catalogue.core.links.end_validation import end_problems
 from robotkube.registry.catalogue.core.links.loops import link_variables, repetitions
 from robotkube.registry.catalogue.core.message_types.carried import value_types
 from robotkube.registry.catalogue.core.sources import ChartFolder, Tools, dotted
-from robotkube.registry.catalogue.core.wrong_keys import NOTHING_WRONG, WrongKeys
 from robotkube.registry.charts.core.values_schemas import overlay
 
 Problem = tuple[str, str]
@@ -33,6 +34,13 @@ EXPRESSION = "write an expression of docs/reference/contracts.md"
 CHART_NAMES = ("name", "version", "digest")
 TASK_NAMES = ("name", "namespace", "event", "rule", "trace", "time", "requester")
 AGENT, OTHER_AGENT = "vehicle-00", "vehicle-01"
+
+_OF_ALL_TEMPLATES = re.compile(
+    r"spec(\.(parameters|agents|provides|initialFor)\b.*|\.services(\[\d+\](\.(name|forEach)\b.*)?)?"
+    r"|\.links\[\d+\]\.forEach.*)?",
+    re.ASCII,
+)
+"""Keys of an application from which names in its templates come."""
 
 _TASK = {
     "name": "task-1", "namespace": "cloud-0", "event": "event-1", "rule": "rule-1", "trace": "0" * 32,
@@ -53,7 +61,7 @@ def application_problems(
     """Every problem of the templates; `folders` are, per service, the charts that it may get. What follows from keys
     that are `wrong` already is left out."""
     named = list(name_problems(application, tools, wrong))
-    if wrong.touch_names:
+    if _names_unknown(wrong):
         return named
     sampler = Sampler(application.parameters, tools.validate)
     unsampled = list(_sampling(sampler))
@@ -138,7 +146,12 @@ def _unknown_names(application: Application, tools: Tools) -> Iterator[Problem]:
 
 def name_problems(application: Application, tools: Tools, wrong: WrongKeys) -> Iterator[Problem]:
     """Names and keys that no demand will ever have, and templates that are none."""
-    return _syntax(application, tools) if wrong.touch_names else _unknown_names(application, tools)
+    return _syntax(application, tools) if _names_unknown(wrong) else _unknown_names(application, tools)
+
+
+def _names_unknown(wrong: WrongKeys) -> bool:
+    """Whether it is unknown which names the templates may use: they come from keys that are wrong."""
+    return any(_OF_ALL_TEMPLATES.fullmatch(key) for key in wrong.keys)
 
 
 def _syntax(application: Application, tools: Tools) -> Iterator[Problem]:

@@ -7,9 +7,15 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from robotkube.errors import DocumentError
+from robotkube.foundation.documents.core.wrong_keys import NOTHING_WRONG, WrongKeys, wrong_keys
 from robotkube.registry.catalogue.core.applications import Application, ChartRequirement, read_application_partly
 from robotkube.registry.catalogue.core.catalogue import RELEASE_POLICY, VERIFICATION_POLICY, read_release_policy
-from robotkube.registry.catalogue.core.chart_validation import chart_problems, folder_findings, interface_names
+from robotkube.registry.catalogue.core.chart_validation import (
+    chart_problems,
+    folder_findings,
+    interface_names,
+    readable_parts,
+)
 from robotkube.registry.catalogue.core.chart_versions import ChartVersion, read_chart_version_partly
 from robotkube.registry.catalogue.core.guarantees import shortfall
 from robotkube.registry.catalogue.core.message_types.carried import link_problems
@@ -17,7 +23,6 @@ from robotkube.registry.catalogue.core.sources import CatalogueSources, ChartFol
 from robotkube.registry.catalogue.core.template_validation import application_problems, name_problems
 from robotkube.registry.catalogue.core.upgrade_graph import upgrade_problems
 from robotkube.registry.catalogue.core.versions import in_range, version_key
-from robotkube.registry.catalogue.core.wrong_keys import NOTHING_WRONG, WrongKeys, readable_parts, wrong_keys
 from robotkube.registry.evidence.core.verification_policy import read_verification_policy
 
 COMPARED = (

@@ -16,7 +16,7 @@ from robotkube.delivery.manager.core.composition.inputs import Demand, Met, Refu
 from robotkube.delivery.manager.core.composition.publishers import Publishers, described
 from robotkube.delivery.manager.core.composition.topic_merge import End, MergedTopics
 from robotkube.delivery.manager.core.placement.capacity import read_resources
-from robotkube.delivery.manager.core.placement.placement import NAMED_MAX
+from robotkube.delivery.manager.core.placement.reasons import shown
 from robotkube.delivery.tasks.core.task_description import INSUFFICIENT_RESOURCES, RELEASE_IN_USE, TOPIC_TAKEN
 from robotkube.errors import RefusalError
 from robotkube.robots.bridge.core.rights import IN, OUT
@@ -155,11 +155,11 @@ class AccumulatedState:
 
 def whose(contributions: Sequence[Contribution]) -> str:
     """The demands in words, the first few of them: `for task ops/t (application a)`."""
-    shown = [
+    demands = [
         f"{'task ' if one.demand.task else ''}{one.demand.key} (application {one.expansion.application})"
-        for one in contributions[:NAMED_MAX]
+        for one in contributions
     ]
-    return f"for {', '.join(shown)}{', ...' if len(contributions) > NAMED_MAX else ''}"
+    return f"for {shown(demands)}"
 
 
 def release_keys(expansion: Expansion, bridges: Mapping[End, str]) -> set[str]:

@@ -6,10 +6,9 @@ An expansion stays good as long as its lookups and pins have the same answers an
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeVar
 
 from robotkube.delivery.deployment.core.releases import Release, TaskCause, application_name
 from robotkube.delivery.manager.core.composition.assignments import Assignments
@@ -37,6 +36,8 @@ from robotkube.registry.catalogue.core.catalogue import Pin
 from robotkube.registry.catalogue.core.chart_versions import ChartVersion
 from robotkube.registry.catalogue.core.links.ends import Opening, opened
 from robotkube.robots.bridge.core.rights import IN, OUT
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -148,9 +149,9 @@ class _Expander:
             chosen, request = self._request(member, name)
             charts.append(chosen)
             requests.append(request)
-        with self._naming(_services(members)):
-            asked = group(requests, self._index.fleet, self._demand.narrowing)
-            placement = self._assignments.assign(self._demand, asked, names, self._index)
+        part = _services(members)
+        asked = self._asked(part, lambda: group(requests, self._index.fleet, self._demand.narrowing))
+        placement = self._asked(part, lambda: self._assignments.assign(self._demand, asked, names, self._index))
         for member in members:
             self._placements.setdefault(member.service.name, placement.agent.name)
         self._expansion.groups.append(PlacedGroup(asked, tuple(names), placement))
@@ -182,16 +183,14 @@ class _Expander:
 
     def _lookup(self, lookup: Lookup, part: str) -> Any:
         """The fleet's answer, for a part of the application."""
-        with self._naming(part):
-            answer = self._index.lookup(lookup)
+        answer = self._asked(part, lambda: self._index.lookup(lookup))
         self._expansion.lookups.append((lookup, answer))
         return answer
 
-    @contextlib.contextmanager
-    def _naming(self, part: str) -> Iterator[None]:
-        """Name the part of the application in every refusal."""
+    def _asked(self, part: str, ask: Callable[[], T]) -> T:
+        """What `ask` gives; a refusal names the part of the application that it is for."""
         try:
-            yield
+            return ask()
         except RefusalError as error:
             text = f"{part} of application {self._expansion.application}: {error.message}"
             raise RefusalError(error.reason, text) from error

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from robotkube.delivery.manager.core.composition.inputs import Demand, Inputs, Schema
-from robotkube.delivery.manager.core.placement.placement import NAMED_MAX
+from robotkube.delivery.manager.core.placement.reasons import NAMED_MAX
 from robotkube.errors import RefusalError
 from robotkube.foundation.documents.core.defaults import with_defaults
 from robotkube.foundation.documents.core.yaml_codec import json_problems

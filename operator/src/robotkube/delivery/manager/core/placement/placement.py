@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from robotkube.delivery.manager.core.placement.capacity import NOTHING, Capacity, Occupancy, Resources
+from robotkube.delivery.manager.core.placement.reasons import DECLARED, Reason, listed, shown
 from robotkube.errors import RefusalError
 from robotkube.registry.catalogue.core.applications import PlacementRule
 
@@ -16,16 +17,10 @@ if TYPE_CHECKING:
     from robotkube.delivery.tasks.core.holds import DeviceHold
 
 NODE_LOST_SECONDS = 40.0
-LISTED_MAX = 10  # candidates that are listed one by one; more are counted by reason
-NAMED_MAX = 5
 CANDIDATES_KEPT_MAX = 256
 SECOND_NS = 1_000_000_000
 
-Reason = tuple[str, str]
-"""Why a candidate is chosen or not: what many have in common, and the rest of the sentence."""
-
 LOST = "its Node is lost"
-DECLARED = "values `agents` of the chart robotkube"
 POSSIBLE: Reason = ("possible", "")
 
 
@@ -195,17 +190,13 @@ class Fleet:
     def agent(self, name: object) -> Agent:
         """A declared agent that has a node; RefusalError(NoCapableNode) says which of both it lacks."""
         if not isinstance(name, str) or name not in self.agents:
-            raise RefusalError("NoCapableNode", f"agent {name!r} is not declared; {self._declared()}")
+            known = shown(sorted(self.agents)) or "none is"
+            text = f"agent {name!r} is not declared; name one that is ({known}), or declare it ({DECLARED})"
+            raise RefusalError("NoCapableNode", text)
         if not self.nodes.get(name):
             text = f"agent {name!r} has no Node with label robotkube.io/agent={name}; let its Node join, or label it"
             raise RefusalError("NoCapableNode", text)
         return self.home(self.agents[name])
-
-    def _declared(self) -> str:
-        """What to do where somebody names an agent that nobody declared."""
-        names = sorted(self.agents)
-        known = f"{', '.join(names[:NAMED_MAX])}{', ...' if len(names) > NAMED_MAX else ''}" if names else "none"
-        return f"name one that is ({known}), or declare it ({DECLARED})"
 
     def loss(self, agent: str, now_ns: int, node: str = "") -> str:
         """Why nothing of an agent, or of its Node of that name, can be reached for longer than is waited for; empty
@@ -281,19 +272,6 @@ def _capacity(nodes: Sequence[NodeState]) -> Capacity | None:
         return None
     largest = Resources(max(r.cpu_millicores for r in known), max(r.memory_bytes for r in known))
     return Capacity(sum(known, NOTHING), largest)
-
-
-def listed(reasons: Sequence[tuple[str, Reason]]) -> tuple[str, ...]:
-    """A sentence per candidate, or, for many, one per kind of reason with their number and the first names."""
-    if len(reasons) <= LISTED_MAX:
-        return tuple(f"{name}: {kind}{rest}" for name, (kind, rest) in reasons)
-    kinds: dict[str, list[str]] = {}
-    for name, (kind, _) in reasons:
-        kinds.setdefault(kind, []).append(name)
-    return tuple(
-        f"{len(names)} agents ({', '.join(names[:NAMED_MAX])}{', ...' if len(names) > NAMED_MAX else ''}): {kind}"
-        for kind, names in kinds.items()
-    )
 
 
 @dataclass(frozen=True)

@@ -2,20 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-
-from robotkube.registry.catalogue.core.chart_versions import ChartVersion
+from dataclasses import dataclass
 
 UNKNOWN = "unknown key"  # it is in nobody's way: the document is read without it
-MISSING = ("missing", "must be a mapping")
-
-_OF_ALL_TEMPLATES = re.compile(
-    r"spec(\.(parameters|agents|provides|initialFor)\b.*|\.services(\[\d+\](\.(name|forEach)\b.*)?)?|\.links\[\d+\]\.forEach.*)?",
-    re.ASCII,
-)
-"""Keys that every template of an application may depend on: the names in templates come from there."""
+ABSENT = ("missing", "must be a mapping")
 
 
 @dataclass(frozen=True)
@@ -36,11 +27,6 @@ class WrongKeys:
         """The problems (key, text) of which the key is none of them, nor below one."""
         return ((key, text) for key, text in problems if not any(_is_at_or_below(key, one) for one in self.keys))
 
-    @property
-    def touch_names(self) -> bool:
-        """Whether it is unknown which names an application's templates may use."""
-        return any(_OF_ALL_TEMPLATES.fullmatch(key) for key in self.keys)
-
 
 NOTHING_WRONG = WrongKeys()
 
@@ -60,17 +46,9 @@ def without_consequences(problems: Iterable[str]) -> Sequence[str]:
         if any(_is_at_or_below(key, one) for one in absent):
             continue
         kept.append(problem)
-        if text.startswith(MISSING):
+        if text.startswith(ABSENT):
             absent.append(key)
     return kept
-
-
-def readable_parts(version: ChartVersion, wrong: WrongKeys) -> ChartVersion:
-    """A chart version without the parts in which a key is wrong."""
-    interfaces = () if wrong.touch("spec.interfaces") else version.interfaces
-    suites = {} if wrong.touch("spec.suites") else version.suites
-    success = version.success if interfaces and not wrong.touch("spec.success") else None
-    return replace(version, interfaces=interfaces, suites=suites, success=success)
 
 
 def _parts(problem: str) -> tuple[str, str]:
