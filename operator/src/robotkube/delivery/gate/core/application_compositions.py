@@ -31,6 +31,7 @@ from robotkube.registry.charts.core.values_schemas import Validate
 OLDER_VERSIONS = 3  # of a chart, that are tried besides the one that is selected
 OLDER_SAMPLES = 3
 PARAMETERS_SHOWN_MAX = 200
+PROBLEMS_MAX = 20
 WRONG = frozenset(
     {
         "CompositionFailed",
@@ -76,8 +77,8 @@ class ApplicationCompositions:
 
     @property
     def problems(self) -> Sequence[Problem]:
-        """What was found so far."""
-        return tuple(self._problems.values())
+        """What was found so far, the first of it."""
+        return tuple(self._problems.values())[:PROBLEMS_MAX]
 
     def report(self, about: tuple[str, ...], key: str, text: str, parameters: Parameters) -> None:
         """Report a problem; the same one of other samples only once."""

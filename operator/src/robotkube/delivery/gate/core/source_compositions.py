@@ -42,8 +42,8 @@ def compose_sources(
         samples = compositions.samples()
         if samples and compositions.composed(samples, late) is None:
             untried.append(name)
-        path = f"applications/{name}.yaml"
-        problems += [sources.finding(path, key, text) for key, text in compositions.problems]
+        file = f"{sources.root}/applications/{name}.yaml"
+        problems += [SourceProblem(file, key, " ".join(text.split())) for key, text in compositions.problems]
     return SourceCompositions(tuple(problems), tuple(untried))
 
 

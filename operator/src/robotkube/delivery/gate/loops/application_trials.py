@@ -28,7 +28,6 @@ from robotkube.registry.evidence.core.verification_policy import VerificationPol
 
 SECONDS_MAX = 60.0  # of all applications of one call
 RELEASES_MAX = 500  # different ones of one application
-PROBLEMS_MAX = 20
 
 
 class CompositionTrials:
@@ -122,7 +121,7 @@ class _Trial:
             return _unfinished()
         charts = {ChartReference(release.chart, release.version, release.digest) for release, _ in made}
         problems = tuple(f"{key}: {text}" for key, text in self._compositions.problems)
-        return TrialResult(problems[:PROBLEMS_MAX], tuple(sorted(charts)), len(samples), len(made))
+        return TrialResult(problems, tuple(sorted(charts)), len(samples), len(made))
 
     def _render_all(
         self, made: Sequence[tuple[Release, Parameters]], objects: RenderedObjects, late: Callable[[], bool]
