@@ -103,7 +103,7 @@ def test_the_group_needs_what_all_its_services_need() -> None:
     without = [replace(node, capabilities=frozenset()) for node in NODES]
     outcome = refused(composed(catalogue(application(services, ("a", "b"))), nodes=without))
     assert outcome.reason == "NoCapableNode"
-    assert "role edge capability gpu (a, b: on one node, linked by ros)" in outcome.message
+    assert "role edge, capability gpu (a, b: on one node, linked by ros)" in outcome.message
     assert "edge-0: lacks capability gpu; edge-1: lacks capability gpu" in outcome.message
 
 

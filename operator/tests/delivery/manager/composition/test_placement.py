@@ -129,7 +129,7 @@ def test_a_named_agent_needs_room_too_and_so_does_its_bridge() -> None:
         (
             TaskPlacement(agents=("roadside-9",)),
             "",
-            "service a of application app: no agent for role roadside one of the agents roadside-9: no such agent is "
+            "service a of application app: no agent for role roadside, one of the agents roadside-9: no such agent is "
             "declared (values `agents` of the chart robotkube)",
         ),
         (TaskPlacement(roles=("cloud",)), "", "roadside-0: has role roadside, the task wants cloud"),
@@ -159,7 +159,7 @@ def test_a_demand_that_is_offloaded_goes_to_other_roles_with_the_same_capabiliti
     needs = catalogue(application({**ONE, "placement": {"role": "roadside", "capabilities": ["gpu"]}}))
     bare = [replace(node, capabilities=frozenset()) for node in NODES]
     composition = compose([demand(task(), roles=("cloud",))], inputs(needs, bare))
-    assert "one of the roles cloud capability gpu: cloud-0: lacks capability gpu" in refusal(composition).message
+    assert "one of the roles cloud, capability gpu: cloud-0: lacks capability gpu" in refusal(composition).message
 
 
 def test_tasks_keep_away_from_others_in_both_directions() -> None:

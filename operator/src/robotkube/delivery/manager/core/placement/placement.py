@@ -127,7 +127,7 @@ class AgentCriteria:
         words += [f"one of the roles {', '.join(self.roles)}"] if self.roles else []
         words += [f"one of the agents {', '.join(self.agents)}"] if self.agents else []
         words += [f"capability {c}" for c in self.capabilities]
-        return " ".join(words or ["any role"])
+        return ", ".join(words or ["any role"])
 
 
 @dataclass(frozen=True)
