@@ -146,6 +146,7 @@ def test_what_follows_from_a_wrong_key_is_not_said(folder: Path) -> None:
     for changes, keys in (
         ([put(RECORDING, f"{service}.name", GONE)], [f"{service}.name"]),
         ([put(RECORDING, "spec.parameters", {"type": "objekt"})], ["spec.parameters"]),
+        ([put(RECORDING, f"{service}.chart.version", 5)], [f"{service}.chart.version"]),
         ([put(RECORDING, f"{service}.chart", {"nmae": "x"})], [f"{service}.chart.nmae", f"{service}.chart"]),
         ([put(RECORDING, "spec.links[0].forEach", {"vehicle": 3})], ["spec.links[0].forEach.vehicle"]),
         ([put(RECORDING, "spec", GONE)], ["spec"]),

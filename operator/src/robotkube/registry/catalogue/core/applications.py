@@ -237,7 +237,7 @@ def _chart(reader: Reader, value: Any, path: str) -> ChartRequirement:
     version = reader.prose(chart.get("version", ""), f"{path}.version")
     if "name" in chart and "version" not in chart:
         reader.problems.append(f"{path}.version: missing")
-    if "version" in chart and not is_range(version):
+    if isinstance(chart.get("version"), str) and not is_range(version):
         reader.problems.append(f"{path}.version: {version!r:.80} must be comparators such as `>=0.1.0 <0.2.0`")
     return ChartRequirement(
         reader.word(chart.get("name"), f"{path}.name", NAME, default=""),
