@@ -28,11 +28,11 @@ from tests.stages.ros.lidar_clouds import cloud
 
 pytestmark = pytest.mark.thorough
 
-CHART, BEFORE, SILENT, ENDING, GOOD = "object-detection", "0.2.2", "0.2.20", "0.2.21", "0.2.22"
-VEHICLE = "vehicle-02"
+CHART, SOURCE, SILENT, ENDING, GOOD = "object-detection", "0.2.2", "0.2.20", "0.2.21", "0.2.22"
+VEHICLE = "vehicle-01"  # other tests leave versions behind that end on vehicle-02
 RELEASE = f"{VEHICLE}/{CHART}-{VEHICLE}"
 BRIDGE = f"{VEHICLE}/mqtt-bridge"
-CLOUDS = "/vehicles/vehicle_02/lidar_center/pointcloud"
+CLOUDS = "/vehicles/vehicle_01/lidar_center/pointcloud"
 HERTZ = 5.0
 RULE = "default: {successSeconds: 10, failureSeconds: 60}\n"
 SUCCESS = """  success:
@@ -100,14 +100,14 @@ def sources(folder: Path) -> None:
     (folder / "registry" / "applications" / f"{WATCH}.yaml").write_text(WATCHING, encoding="utf-8")
 
 
-def next_version(folder: Path, before: str, version: str, skipped: str = "") -> None:
-    """The chart as it is in `folder`, under another version with SUCCESS."""
+def next_version(folder: Path, last: str, version: str, runs: str, skipped: str = "") -> None:
+    """The chart as it is in `folder` (`last`), under another version with SUCCESS that replaces the one that `runs`."""
     entries = folder / "registry" / "charts" / CHART
-    changed(folder / "charts" / CHART / "Chart.yaml", before, version)
-    text = (PROJECT / "registry" / "charts" / CHART / f"{BEFORE}.yaml").read_text(encoding="utf-8")
+    changed(folder / "charts" / CHART / "Chart.yaml", last, version)
+    text = (PROJECT / "registry" / "charts" / CHART / f"{SOURCE}.yaml").read_text(encoding="utf-8")
     for old, new in (
-        (f"version: {BEFORE}\n", f"version: {version}\n{SUCCESS}"),
-        ("replaces: 0.2.1\n", f"replaces: {BEFORE}\n"),
+        (f"version: {SOURCE}\n", f"version: {version}\n{SUCCESS}"),
+        ("replaces: 0.2.1\n", f"replaces: {runs}\n"),
         ("skips: [0.1.2]", f"skips: [0.1.2{skipped}]"),
     ):
         assert old in text
@@ -115,10 +115,10 @@ def next_version(folder: Path, before: str, version: str, skipped: str = "") -> 
     (entries / f"{version}.yaml").write_text(text, encoding="utf-8")
 
 
-def taken_back(stage: Stage, version: str) -> str:
-    """The message of the commit that takes a version back, once it is there."""
+def taken_back(stage: Stage, version: str, before: str) -> str:
+    """The message of the commit that takes a version back to the one before, once it is there."""
     eventually(
-        f"{version} is taken back", lambda: stage.annotation(RELEASE, "chart-version") == BEFORE, UPDATED_SECONDS_MAX
+        f"{version} is taken back", lambda: stage.annotation(RELEASE, "chart-version") == before, UPDATED_SECONDS_MAX
     )
     revert = stage.commit_of(RELEASE)
     assert revert.trailers["Cause"] == ("revert",)
@@ -145,27 +145,28 @@ def test_a_version_stays_by_its_results_and_goes_by_them(platform: Platform, sta
     stage.submit("cloud-0", "results", application=CHART, parameters={"sensor": VEHICLE}, placement=there)
     stage.submit("cloud-0", "results-watch", application=WATCH, parameters={"vehicle": VEHICLE})
     stage.await_running(RELEASE, f"{VEHICLE}/{WATCH}-{VEHICLE}")
+    runs = stage.annotation(RELEASE, "chart-version")
     with seeing(stage):
-        stage.receive(BRIDGE, "/vehicles/vehicle_02/objects", "geometry_msgs/msg/PoseArray")
+        stage.receive(BRIDGE, "/vehicles/vehicle_01/objects", "geometry_msgs/msg/PoseArray")
 
-        next_version(tmp_path, BEFORE, SILENT)
+        next_version(tmp_path, SOURCE, SILENT, runs)
         template = tmp_path / "charts" / CHART / "templates" / "_app.tpl"
         changed(template, OBJECTS, ELSEWHERE)
         submit(platform, tmp_path, CHART)
         tried(stage, SILENT)
-        said = taken_back(stage, SILENT)
+        said = taken_back(stage, SILENT, runs)
         assert "event of rule silent" in said or "event of rule seldom" in said, said
 
-        next_version(tmp_path, SILENT, ENDING, f", {SILENT}")
+        next_version(tmp_path, SILENT, ENDING, runs, f", {SILENT}")
         changed(template, ELSEWHERE, OBJECTS)
         submit(platform, tmp_path, CHART)
         tried(stage, ENDING)
         stage.await_running(RELEASE)
         stage.run(RELEASE, END_SOON, seconds=30)
-        said = taken_back(stage, ENDING)
+        said = taken_back(stage, ENDING, runs)
         assert "had container object-detection, which ended (" in said, said
 
-        next_version(tmp_path, ENDING, GOOD, f", {SILENT}, {ENDING}")
+        next_version(tmp_path, ENDING, GOOD, runs, f", {SILENT}, {ENDING}")
         submit(platform, tmp_path, CHART)
         tried(stage, GOOD)
         eventually("nothing is on trial", lambda: not update_of(platform, RELEASE), UPDATED_SECONDS_MAX)

@@ -54,9 +54,11 @@ def spoken(config: pytest.Config) -> AbstractContextManager[None]:
     return quiet
 
 
-def eventually(what: str, reached: Callable[[], Any], seconds: float = WAIT_SECONDS_MAX) -> Any:
+def eventually(
+    what: str, reached: Callable[[], Any], seconds: float = WAIT_SECONDS_MAX, state: Callable[[], object] = lambda: ""
+) -> Any:
     """The first true answer; a poll that fails is repeated. Fails with `what` and the last answer, or the last poll's
-    failure, after the bound."""
+    failure, after the bound, and with the `state` as it is then."""
     end, last = time.monotonic() + seconds, None
     while time.monotonic() < end:
         try:
@@ -65,7 +67,7 @@ def eventually(what: str, reached: Callable[[], Any], seconds: float = WAIT_SECO
         except (SetUpError, RunError) as error:
             last = error
         time.sleep(POLL_SECONDS)
-    raise AssertionError(f"not within {seconds:.0f} s: {what}; last seen: {last!r}")
+    raise AssertionError(f"not within {seconds:.0f} s: {what}; last seen: {last!r} {state()}")
 
 
 @dataclass(frozen=True)

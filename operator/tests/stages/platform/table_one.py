@@ -203,7 +203,20 @@ class Stage:
             ready = {release: pods[0] for release, pods in pods_by_release.items() if len(pods) == 1 and pods[0].ready}
             return ready if len(ready) == len(releases) else {}
 
-        return dict(eventually(f"{', '.join(releases)} run", running, seconds))
+        return dict(eventually(f"{', '.join(releases)} run", running, seconds, lambda: self.state_of(*releases)))
+
+    def state_of(self, *releases: str) -> Mapping[str, object]:
+        """Versions on main and pods of these releases, and what is said of all tasks: why they do not run."""
+        versions = {release: self.annotation(release, "chart-version") for release in releases}
+        tasks = self.platform.get("-A", "taskdescriptions")["items"]
+        said = {
+            f"{task['metadata']['namespace']}/{task['metadata']['name']}": [
+                f"{one['type']} {one['status']} {one['reason']}: {one['message']}"
+                for one in task.get("status", {}).get("conditions", ())
+            ]
+            for task in tasks
+        }
+        return {"main": versions, "pods": {release: self.pods(release) for release in releases}, "tasks": said}
 
     def await_gone(self, *releases: str, seconds: float = GONE_SECONDS_MAX) -> None:
         """No file on main, no Application and no pod of these releases."""
