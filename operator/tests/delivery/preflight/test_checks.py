@@ -316,6 +316,18 @@ class TestAgents:
         words = said(finding("control-groups", control_groups={"old": 1, "new": 2}))
         assert "Node old: control groups are of version 1" in words
 
+    @pytest.mark.parametrize(("version", "result"), [("v1.34.9", FAILED), ("v1.36.3", OK), ("", FAILED)])
+    def test_a_kubelet_that_runs_on_version_1_was_told_to(self, version: str, result: str) -> None:
+        """Since 1.35 it does not start there by itself, as on the embedded cluster, where it was told."""
+        own = node("vehicle-00")
+        own["status"]["nodeInfo"] = {"kubeletVersion": version}
+        found = finding("control-groups", control_groups={"vehicle-00": 1}, nodes=[own])
+        assert found.result == result
+        assert ("failCgroupV1: false" in found.says) == (result == OK)
+
+    def test_a_node_of_the_platform_is_no_agents(self) -> None:
+        assert finding("agents", nodes=[*NODES, node("platform-0", "platform")]).result == OK
+
     @pytest.mark.parametrize("groups", [{"a": 2, "b": Unread("forbidden: nodes/proxy")}, {}])
     def test_control_groups_that_nobody_told_of(self, groups: Any) -> None:
         assert finding("control-groups", control_groups=groups).result == NOT_CHECKED

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -11,6 +12,9 @@ from robotkube.delivery.preflight.core.renderings import Object, agents, labels_
 from robotkube.registry.suites.core.pod_security import items, mapping
 
 AGENT, ROLE, CAPABILITY = "robotkube.io/agent", "robotkube.io/role", "robotkube.io/capability."
+PLATFORM = "platform"  # the role of Nodes that run the platform and are no agent's
+MINOR = re.compile(r"v1\.([0-9]{1,3})\.")
+REFUSING_MINOR = 35
 WHY_NO_NODE = "until one is there tasks on it are refused with NoCapableNode"
 
 
@@ -42,6 +46,8 @@ def _no_node(name: str, role: str) -> Problem:
 
 def _wrong_labels(node: Object, agent: str, declared: Mapping[str, str]) -> Iterator[Problem]:
     name, present = name_of(node), labels_of(node)
+    if agent not in declared and present.get(ROLE) == PLATFORM:
+        return
     if agent not in declared:
         fix = f"declare it in the values `agents`, or kubectl label node {name} {AGENT}-"
         why = "there is no namespace, account or volume claim for it, and the manager leaves it out"
@@ -94,9 +100,12 @@ def _not_ready(node: Object) -> Iterator[Problem]:
         )
 
 
-def control_groups(versions: Mapping[str, int | Unread]) -> CheckVerdict:
-    """Every Node has control groups of version 2, as its kubelet says in its metrics."""
-    old = sorted(name for name, version in versions.items() if version == 1)
+def control_groups(versions: Mapping[str, int | Unread], nodes: Sequence[Object]) -> CheckVerdict:
+    """Every Node has control groups of version 2, as its kubelet says in its metrics, or a kubelet that was told to
+    take version 1: one that refuses it by itself does not run there otherwise."""
+    told = {name_of(node) for node in nodes if _refuses_version_1(node)}
+    first = {name for name, version in versions.items() if version == 1}
+    old = sorted(first - told)
     unread = {name: version.why for name, version in versions.items() if isinstance(version, Unread)}
     why = "kubelets of Kubernetes 1.35 and later do not start there unless failCgroupV1 is false"
     fix = "boot it with systemd.unified_cgroup_hierarchy=1, or take a newer distribution"
@@ -104,4 +113,13 @@ def control_groups(versions: Mapping[str, int | Unread]) -> CheckVerdict:
     words = "; ".join(sorted(set(unread.values())))
     unseen = f"version of {named(sorted(unread))} not read: {words}" if unread else ""
     unseen = unseen if versions else "there is no Node"
-    return CheckVerdict(f"{len(versions) - len(unread)} of {len(versions)} Nodes say their version", problems, unseen)
+    says = f"{len(versions) - len(unread)} of {len(versions)} Nodes say their version"
+    says += f"; {len(first & told)} have version 1, and kubelets with failCgroupV1: false" if first & told else ""
+    return CheckVerdict(says, problems, unseen)
+
+
+def _refuses_version_1(node: Object) -> bool:
+    """Whether the kubelet of a Node, unless it is told otherwise, does not start on control groups of version 1."""
+    version = str(mapping(mapping(node.get("status")).get("nodeInfo")).get("kubeletVersion", ""))
+    known = MINOR.match(version)
+    return known is not None and int(known[1]) >= REFUSING_MINOR

@@ -64,7 +64,7 @@ CHECKS = (
     ClusterCheck("agents", agents_nodes, ("settings", "nodes")),
     ClusterCheck("agents-ready", agents_ready, ("settings", "nodes")),
     ClusterCheck("capacity", capacity, ("rendering", "nodes", "pods")),
-    ClusterCheck("control-groups", control_groups, ("control_groups",)),
+    ClusterCheck("control-groups", control_groups, ("control_groups", "nodes")),
     ClusterCheck("argocd", argocd, ("argocd",)),
     ClusterCheck("registries", registries, ("registries",)),
 )
