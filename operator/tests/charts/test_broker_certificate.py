@@ -3,7 +3,6 @@ renewed certificate is shown without a restart and without a lost message."""
 
 from __future__ import annotations
 
-import contextlib
 import signal
 import socket
 import ssl
@@ -25,7 +24,7 @@ from robotkube.foundation.certificates.core.lives import Pair
 from robotkube.registry.suites.adapters.broker_observer import PahoObserver
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.adapters.paho_channel import CLOSED, PahoChannel
-from tests.stages.delivery.rights_broker import ACCOUNTS, PLUGIN, password, plugin
+from tests.stages.delivery.rights_broker import ACCOUNTS, PLUGIN, answers, password, plugin
 from tests.stages.paths import CHARTS
 from tests.stages.programs import free_port
 from tests.stages.waiting import WAIT_SECONDS_MAX, until
@@ -93,12 +92,7 @@ class EncryptedBroker:
             (self.folder / name).write_text(text)
         with (self.folder / "log").open("ab") as sink:
             self.process = subprocess.Popen(["sh", str(self.folder / "run.sh")], stdout=sink, stderr=sink)
-        until(self._answers, "the broker", state=lambda: (self.folder / "log").read_text())
-
-    def _answers(self) -> bool:
-        with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", self.port), 1):
-            return True
-        return False
+        until(lambda: answers(self.port), "the broker", state=lambda: (self.folder / "log").read_text())
 
     def show(self, seconds: float, began: float = 0.0, authority: Pair | None = None) -> None:
         """Another certificate in the mounted files, both at once as a kubelet does it."""

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import signal
 import socket
 import subprocess
-import time
 from pathlib import Path
 
 from robotkube.delivery.rights import first_file
 from robotkube.delivery.rights.core.accounts import OBSERVER, OWNER, Accounts, AgentAccount, ManagerAccount
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from tests.stages.programs import free_port
+from tests.stages.waiting import until
 
-START_SECONDS_MAX = 30.0
 PLUGIN = "mosquitto_dynamic_security.so"
 SETTINGS = """
 listener {port} 127.0.0.1
@@ -92,12 +92,13 @@ def run_mosquitto(configuration: Path, port: int, log: Path) -> subprocess.Popen
     """A mosquitto that takes connections."""
     with log.open("ab") as sink:
         process = subprocess.Popen(["mosquitto", "-c", str(configuration)], stdout=sink, stderr=sink)
-    deadline = time.monotonic() + START_SECONDS_MAX
-    while True:
-        assert process.poll() is None, log.read_text()
-        try:
-            socket.create_connection(("127.0.0.1", port), 1).close()
-            return process
-        except OSError:
-            assert time.monotonic() < deadline, log.read_text()
-            time.sleep(0.02)
+    until(lambda: process.poll() is not None or answers(port), "the broker", state=log.read_text)
+    assert process.poll() is None, log.read_text()
+    return process
+
+
+def answers(port: int) -> bool:
+    """Whether somebody takes connections there."""
+    with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
+        return True
+    return False
