@@ -17,6 +17,7 @@ from robotkube.registry.publication.loops.submitting import PUBLISHED, UNCHANGED
 from tests.stages.platform.chart_versions import (
     UPDATED_SECONDS_MAX,
     changed,
+    entry_after,
     publish_application,
     put_policy,
     submit,
@@ -104,15 +105,14 @@ def next_version(folder: Path, last: str, version: str, runs: str, skipped: str 
     """The chart as it is in `folder` (`last`), under another version with SUCCESS that replaces the one that `runs`."""
     entries = folder / "registry" / "charts" / CHART
     changed(folder / "charts" / CHART / "Chart.yaml", last, version)
-    text = (PROJECT / "registry" / "charts" / CHART / f"{SOURCE}.yaml").read_text(encoding="utf-8")
-    for old, new in (
+    entry_after(
+        entries,
+        SOURCE,
+        version,
         (f"version: {SOURCE}\n", f"version: {version}\n{SUCCESS}"),
         ("replaces: 0.2.1\n", f"replaces: {runs}\n"),
         ("skips: [0.1.2]", f"skips: [0.1.2{skipped}]"),
-    ):
-        assert old in text
-        text = text.replace(old, new)
-    (entries / f"{version}.yaml").write_text(text, encoding="utf-8")
+    )
 
 
 def taken_back(stage: Stage, version: str, before: str) -> str:

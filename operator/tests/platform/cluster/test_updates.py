@@ -13,7 +13,14 @@ import pytest
 from ci import publish
 from ci.folders import PROJECT
 from robotkube.foundation.documents.core.times import time_text
-from tests.stages.platform.chart_versions import UPDATED_SECONDS_MAX, changed, put_policy, submit, update_of
+from tests.stages.platform.chart_versions import (
+    UPDATED_SECONDS_MAX,
+    changed,
+    entry_after,
+    put_policy,
+    submit,
+    update_of,
+)
 from tests.stages.platform.running_platform import Platform, eventually
 from tests.stages.platform.table_one import Stage
 
@@ -43,15 +50,14 @@ def bad_version(folder: Path) -> None:
     changed(chart / "Chart.yaml", GOOD, BAD)
     changed(chart / "Chart.yaml", f"robotkube.io/images: {IMAGE}", f"robotkube.io/images: {IMAGE} {OTHER}")
     changed(chart / "templates" / "_app.tpl", f"image: {IMAGE}\n", FIELD_ONLY)
-    text = (entries / f"{GOOD}.yaml").read_text(encoding="utf-8")
-    for old, new in (
+    entry_after(
+        entries,
+        GOOD,
+        BAD,
         (f"version: {GOOD}", f"version: {BAD}"),
         ("replaces: 0.2.1", f"replaces: {GOOD}"),
         (f"images: [{IMAGE}]", f"images: [{IMAGE}, {OTHER}]"),
-    ):
-        assert old in text
-        text = text.replace(old, new)
-    (entries / f"{BAD}.yaml").write_text(text, encoding="utf-8")
+    )
 
 
 def measured_version(folder: Path) -> None:
@@ -60,16 +66,15 @@ def measured_version(folder: Path) -> None:
     changed(chart / "Chart.yaml", BAD, MEASURED)
     changed(chart / "Chart.yaml", f"robotkube.io/images: {IMAGE} {OTHER}", f"robotkube.io/images: {IMAGE}")
     changed(chart / "templates" / "_app.tpl", FIELD_ONLY, f"image: {IMAGE}\n")
-    text = (entries / f"{BAD}.yaml").read_text(encoding="utf-8")
     success = f"version: {MEASURED}\n  success: {{noEventOf: [{WATCHED_RULE}], seconds: 120}}"
-    for old, new in (
+    entry_after(
+        entries,
+        BAD,
+        MEASURED,
         (f"version: {BAD}", success),
         (f"replaces: {GOOD}", f"replaces: {BAD}"),
         (f"images: [{IMAGE}, {OTHER}]", f"images: [{IMAGE}]"),
-    ):
-        assert old in text
-        text = text.replace(old, new)
-    (entries / f"{MEASURED}.yaml").write_text(text, encoding="utf-8")
+    )
 
 
 def late_version(folder: Path) -> None:
@@ -80,16 +85,15 @@ def late_version(folder: Path) -> None:
     changed(chart / "Chart.yaml", GOOD, LATE)
     changed(chart / "Chart.yaml", f"robotkube.io/images: {IMAGE}", f"robotkube.io/images: {IMAGE} {OTHER}")
     changed(chart / "templates" / "_app.tpl", f"image: {IMAGE}\n", LATE_ONLY)
-    text = (entries / f"{GOOD}.yaml").read_text(encoding="utf-8")
-    for old, new in (
+    entry_after(
+        entries,
+        GOOD,
+        LATE,
         (f"version: {GOOD}", f"version: {LATE}"),
         ("replaces: 0.2.1", f"replaces: {MEASURED}"),
         ("skips: [", f"skips: [{BAD}, {GOOD}, "),
         (f"images: [{IMAGE}]", f"images: [{IMAGE}, {OTHER}]"),
-    ):
-        assert old in text
-        text = text.replace(old, new)
-    (entries / f"{LATE}.yaml").write_text(text, encoding="utf-8")
+    )
 
 
 def versions(stage: Stage) -> list[str]:

@@ -30,6 +30,14 @@ def changed(path: Path, old: str, new: str) -> None:
     path.write_text(text.replace(old, new), encoding="utf-8")
 
 
+def entry_after(entries: Path, last: str, version: str, *changes: tuple[str, str]) -> None:
+    """Write the entry of a version: the `last` one's, with each of the changes, whose first text it must have."""
+    path = entries / f"{version}.yaml"
+    path.write_text((entries / f"{last}.yaml").read_text(encoding="utf-8"), encoding="utf-8")
+    for old, new in changes:
+        changed(path, old, new)
+
+
 def submit(platform: Platform, folder: Path, chart: str) -> None:
     """Publish a chart of the folders charts and registry below `folder`, by the command."""
     places = ["--charts", str(folder / "charts"), "--registry", str(folder / "registry")]
