@@ -31,7 +31,7 @@ TESTS = "operator/tests"
 TEARDOWN_SECONDS_MAX = 120
 EXAMPLES = "ROBOTKUBE_EXAMPLES"
 MEMORY, MEMORY_BYTES_MIN = Path("/dev/shm"), 4 * 2**30  # noqa: S108 - the folder in it is made by tempfile
-FEW_EXAMPLES, ALL_EXAMPLES = 40, 200
+FEW_EXAMPLES, ALL_EXAMPLES = 20, 200
 PLATFORM = f"{TESTS}/platform"  # its tests are marked by their folder
 MARK = re.compile(r"\bpytest\.mark\.(processes|toolchain|thorough)\b")
 OF_ALL = re.compile(r"^pytestmark = .*", re.MULTILINE)  # the marks of all tests of a file

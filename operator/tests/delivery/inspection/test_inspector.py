@@ -58,7 +58,7 @@ class Stage:
         """Start the process, anew: it has forgotten everything."""
         self.reporter = Reporter(self.inspections, self.clock.ns)
         both = (NodeLooks(self.clock), ReleaseLooks(self.workloads))
-        self.inspector = Inspector(self.nodes, both, self.source, self.reporter, self.clock)
+        self.inspector = Inspector(self.nodes, both, self.source, self.reporter, self.clock, lambda: 1.0)
         self.made.append(self.inspector)
 
     def run(self, seconds: float) -> None:
@@ -92,6 +92,19 @@ def test_nothing_is_strange(stage: Stage) -> None:
     assert stage.conditions() == CLEAN
     assert stage.conditions("releases") == CLEAN
     assert stage.inspections.events == []
+    assert stage.inspector.reasons_not_ready() == []
+
+
+def test_a_forge_that_is_not_there_at_the_start_is_asked_again_soon_and_then_ever_more_seldom(stage: Stage) -> None:
+    """After 2, 4, 8, 16 and every 30 s; as soon as it answers, the inspector is ready."""
+    stage.source.away = True
+    stage.run(3)
+    assert stage.source.refreshed == 2
+    assert stage.inspector.reasons_not_ready() == ["the forge does not answer"]
+    stage.run(60)
+    assert stage.source.refreshed == 6
+    stage.source.away = False
+    stage.run(30)
     assert stage.inspector.reasons_not_ready() == []
 
 

@@ -140,24 +140,17 @@ def upgrade(platform: Platform, chart: str) -> SuiteRequest:
 
 @pytest.fixture(scope="module")
 def results(platform: Platform, tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, SuiteResult]:
-    """Runs that only a cluster can judge, asked for at once."""
+    """Runs that only a cluster can judge, asked for at once, and such whose verdicts tests of the suites in memory show,
+    too."""
+    images = suite_namespaces.images()
     stubborn = wrong_chart("ignores-sigterm", tmp_path_factory.mktemp("ignores-sigterm"))
+    unready = wrong_chart("never-ready", tmp_path_factory.mktemp("never-ready"))
     asked: dict[str, SuiteRequest] = {
         f"upgrade {BRIDGE}": upgrade(platform, BRIDGE),
-        "example": suite_namespaces.request(platform, *own(BRIDGE), custom("short-grace", short_grace())),
-        "burglar": suite_namespaces.request(platform, *own(BRIDGE), burglar(platform)),
-        "ignores-sigterm": suite_namespaces.request(platform, *stubborn, INSTALL),
-    }
-    return suite_namespaces.results(platform, asked, VERDICT_SECONDS_MAX)
-
-
-@pytest.fixture(scope="module")
-def more_results(platform: Platform, tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, SuiteResult]:
-    """Runs whose verdicts tests of the suites in memory show, too."""
-    images, unready = suite_namespaces.images(), wrong_chart("never-ready", tmp_path_factory.mktemp("never-ready"))
-    asked: dict[str, SuiteRequest] = {
         f"upgrade {DETECTOR}": upgrade(platform, DETECTOR),
+        "example": suite_namespaces.request(platform, *own(BRIDGE), custom("short-grace", short_grace())),
         "example-failed": suite_namespaces.request(platform, *own(DETECTOR), custom("short-grace", short_grace())),
+        "ignores-sigterm": suite_namespaces.request(platform, *stubborn, INSTALL),
         "silent": suite_namespaces.request(platform, *own(BRIDGE), custom("silent", "print('nothing to say')")),
         "hanging": suite_namespaces.request(
             platform, *own(BRIDGE), SuiteRule("hanging", "1", 12, images["ros"], ("sleep", "600"))
@@ -175,18 +168,19 @@ def upgraded(result: SuiteResult, changed_to: str) -> None:
     assert found[CHANGED] == f"it opened the topics of {changed_to}, and its pod stayed"
 
 
+@pytest.mark.thorough
 def test_a_chart_of_the_platform_passes_and_upgrades(results: Mapping[str, SuiteResult]) -> None:
     upgraded(results[f"upgrade {BRIDGE}"], "cloud")
 
 
 @pytest.mark.thorough
-def test_another_chart_of_the_platform_passes_and_upgrades(more_results: Mapping[str, SuiteResult]) -> None:
-    upgraded(more_results[f"upgrade {DETECTOR}"], "patterns")
+def test_another_chart_of_the_platform_passes_and_upgrades(results: Mapping[str, SuiteResult]) -> None:
+    upgraded(results[f"upgrade {DETECTOR}"], "patterns")
 
 
 @pytest.mark.thorough
-def test_a_chart_that_never_gets_ready(more_results: Mapping[str, SuiteResult]) -> None:
-    result = more_results["never-ready"]
+def test_a_chart_that_never_gets_ready(results: Mapping[str, SuiteResult]) -> None:
+    result = results["never-ready"]
     assert result.outcome == "failed", suite_namespaces.said(result)
     [check] = result.failed
     assert check.name == "becomes-ready"
@@ -195,6 +189,7 @@ def test_a_chart_that_never_gets_ready(more_results: Mapping[str, SuiteResult]) 
     assert "readiness probe" in check.fix
 
 
+@pytest.mark.thorough
 def test_a_chart_that_ignores_sigterm(results: Mapping[str, SuiteResult]) -> None:
     result = results["ignores-sigterm"]
     assert result.outcome == "failed", suite_namespaces.said(result)
@@ -204,6 +199,7 @@ def test_a_chart_that_ignores_sigterm(results: Mapping[str, SuiteResult]) -> Non
     assert "handle SIGTERM" in check.fix
 
 
+@pytest.mark.thorough
 def test_the_example_of_the_how_to_judges(results: Mapping[str, SuiteResult]) -> None:
     assert results["example"].outcome == "passed", suite_namespaces.said(results["example"])
     [check] = results["example"].checks
@@ -211,27 +207,28 @@ def test_the_example_of_the_how_to_judges(results: Mapping[str, SuiteResult]) ->
 
 
 @pytest.mark.thorough
-def test_the_example_of_the_how_to_refuses(more_results: Mapping[str, SuiteResult]) -> None:
-    assert more_results["example-failed"].outcome == "failed"
-    assert "terminationGracePeriodSeconds is 10" in suite_namespaces.said(more_results["example-failed"])
+def test_the_example_of_the_how_to_refuses(results: Mapping[str, SuiteResult]) -> None:
+    assert results["example-failed"].outcome == "failed"
+    assert "terminationGracePeriodSeconds is 10" in suite_namespaces.said(results["example-failed"])
 
 
 @pytest.mark.thorough
-def test_suites_without_a_result_are_unfinished(more_results: Mapping[str, SuiteResult]) -> None:
-    assert more_results["silent"].outcome == more_results["hanging"].outcome == "unfinished"
-    assert "no JSON object" in suite_namespaces.said(more_results["silent"])
-    assert "nothing to say" in suite_namespaces.said(more_results["silent"])
-    assert "did not end in its time" in suite_namespaces.said(more_results["hanging"])
+def test_suites_without_a_result_are_unfinished(results: Mapping[str, SuiteResult]) -> None:
+    assert results["silent"].outcome == results["hanging"].outcome == "unfinished"
+    assert "no JSON object" in suite_namespaces.said(results["silent"])
+    assert "nothing to say" in suite_namespaces.said(results["silent"])
+    assert "did not end in its time" in suite_namespaces.said(results["hanging"])
 
 
-def test_what_runs_in_a_test_namespace_reads_neither_token_nor_key_nor_forge(
-    results: Mapping[str, SuiteResult],
-) -> None:
-    result = results["burglar"]
+def test_what_runs_in_a_test_namespace_reads_neither_token_nor_key_nor_forge(platform: Platform) -> None:
+    asked = suite_namespaces.request(platform, *own(BRIDGE), burglar(platform))
+    [result] = suite_namespaces.results(platform, {"burglar": asked}, VERDICT_SECONDS_MAX).values()
     assert (result.outcome, suite_namespaces.said(result)) == ("passed", "")
     assert len(result.checks) == 14
+    suite_namespaces.await_empty(platform)
 
 
+@pytest.mark.thorough
 def test_the_test_namespaces_are_empty_afterwards(platform: Platform, results: Mapping[str, SuiteResult]) -> None:
     assert results
     suite_namespaces.await_empty(platform)

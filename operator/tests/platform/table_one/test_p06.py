@@ -13,8 +13,12 @@ trailer and message say which Node was lost; on the pods, that there is one when
 
 from __future__ import annotations
 
+import pytest
+
 from tests.stages.platform.running_platform import eventually
 from tests.stages.platform.table_one import Stage
+
+pytestmark = pytest.mark.thorough
 
 NAME = "object-detection-roadside-0"
 OTHER = {"roadside-0": "edge-0", "edge-0": "roadside-0"}

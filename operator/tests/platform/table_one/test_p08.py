@@ -21,11 +21,15 @@ from __future__ import annotations
 
 import json
 
+import pytest
+
 from ci import publish
 from tests.stages.platform.intersection import SITE, SITE_SERVICES, VEHICLE, approached, left, operator, seeing
 from tests.stages.platform.running_platform import eventually
 from tests.stages.platform.table_one import BRIDGE, NUMBER, POSES, TEXT, Stage
 from tests.stages.scenarios.corner import ABOVE, BELOW, BLOCKED, CLEAR, SITES, hidden_among
+
+pytestmark = pytest.mark.thorough
 
 OPERATOR = f"{VEHICLE}/uncertainty-operator-{SITE}"
 LAUNCHED = (OPERATOR, f"{VEHICLE}/object-detection-{VEHICLE}")

@@ -91,15 +91,18 @@ class WorkloadsInMemory:
 
 
 class SourceInMemory:
-    """The port PermittedSource; `next` counts after the next refresh."""
+    """The port PermittedSource; `next` counts after the next refresh. `away`: what it reads from does not answer."""
 
     def __init__(self, now: Permitted | None) -> None:
         self.now = now
         self.next: Permitted | None = None
         self.refreshed = 0
+        self.away = False
 
     def refresh(self) -> None:
         self.refreshed += 1
+        if self.away:
+            raise UnavailableError("the forge does not answer")
         if self.next is not None:
             self.now = self.next
 

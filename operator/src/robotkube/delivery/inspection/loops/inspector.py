@@ -4,11 +4,13 @@ strange is looked at again CONFIRM_SECONDS later, after what may run has been re
 from __future__ import annotations
 
 import logging
+import random
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
+from robotkube.backoffs import Random, backoff
 from robotkube.delivery.inspection.core.confirmations import CONFIRM_SECONDS, Confirmations
 from robotkube.delivery.inspection.core.strangers import KUBELET, MACHINE, Look
 from robotkube.delivery.inspection.loops.looks import NodeLooks, ReleaseLooks
@@ -21,6 +23,7 @@ AGAIN_SECONDS = CONFIRM_SECONDS + 0.1
 SILENT_SECONDS = 30.0  # until a kubelet is asked again that did not answer twice: it may be away for long
 NODES_SECONDS = 30.0  # how often the list of nodes is read
 REFRESH_SECONDS = 30.0  # how often what may run is read, while nothing is strange
+RETRY_SECONDS = 2.0  # until it is read again after a failure, doubled with each further one
 ATTEND_SECONDS = 3.0  # how often all Inspections are read: what others wrote into ours, and what machines' say
 AT_ONCE = 4  # kubelets that are asked at the same time
 IDLE_SECONDS = 0.5
@@ -42,7 +45,8 @@ class _Schedule:
 
 
 class Inspector:
-    """Looks and reports; `clock` is monotonic, in seconds. `step` is for one thread, `reasons_not_ready` for any."""
+    """Looks and reports; `clock` is monotonic, in seconds; `jitter` shortens pauses after failures. `step` is for one
+    thread, `reasons_not_ready` for any."""
 
     def __init__(
         self,
@@ -51,12 +55,15 @@ class Inspector:
         source: PermittedSource,
         reporter: Reporter,
         clock: Callable[[], float],
+        jitter: Random = random.random,
     ) -> None:
         self._nodes = nodes
         self._node_looks, self._release_looks = looks
         self._source = source
         self._reporter = reporter
         self._clock = clock
+        self._jitter = jitter
+        self._failed_refreshes = 0
         self._due = _Schedule()
         self._addresses: dict[str, NodeAddress] = {}
         self._silent: set[str] = set()  # nodes whose kubelet did not answer the last time
@@ -97,8 +104,14 @@ class Inspector:
         self._problems.pop("start", None)
 
     def _refresh(self) -> None:
-        self._due.refresh = self._clock() + REFRESH_SECONDS
-        self._attempt("what may run", self._source.refresh)
+        """Read what may run. A forge that is not there yet is asked again soon: until then nothing can be judged."""
+        if self._attempt("what may run", self._source.refresh):
+            self._failed_refreshes = 0
+            pause = REFRESH_SECONDS
+        else:
+            pause = backoff(self._failed_refreshes, RETRY_SECONDS, REFRESH_SECONDS, self._jitter)
+            self._failed_refreshes += 1
+        self._due.refresh = self._clock() + pause
 
     def _list_nodes(self) -> None:
         """Nodes that came are looked at within LOOK_SECONDS, spread over them; of those that are gone nothing stays."""
@@ -161,12 +174,14 @@ class Inspector:
             self._confirmations[name] = Confirmations(self._reporter.known(name))
         return self._confirmations[name]
 
-    def _attempt(self, what: str, action: Callable[[], None]) -> None:
+    def _attempt(self, what: str, action: Callable[[], None]) -> bool:
         try:
             action()
-            self._problems[what] = ""
         except (UnavailableError, InputError) as error:
             self._note(what, str(error))
+            return False
+        self._problems[what] = ""
+        return True
 
     def _note(self, what: str, problem: str) -> None:
         """Log a problem when it comes and when it is another one."""
