@@ -1,4 +1,4 @@
-"""Prometheus and promtool, built once and kept: what the slower proofs watch the platform with, and nothing else builds.
+"""Prometheus and promtool, built once and kept: what the slower proofs watch the platform with. Only they build them.
 
 <cache>/prometheus/<key>   both programs; the folder appears when both had passed their smoke tests
 """

@@ -1,4 +1,4 @@
-"""The alerts by promtool: their language is Prometheus', each fires where it should and is silent where it should be."""
+"""The alerts by promtool: their language is Prometheus', each fires where it should and else is silent."""
 
 from __future__ import annotations
 
