@@ -1,7 +1,7 @@
 """`make reference`: docs/reference/schemas.md from the JSON Schemas of registry/schemas/, metrics.md, rules.md, logs.md
 and the metrics of event-detector.md from the code, the commands of command-line.md from the command line's parser, and
-the tables of network.md from the platform chart's; the message types of images; the table of attacks in trust.md; and
-what is generated in charts.
+the tables of network.md and monitoring.md from the platform chart's; the message types of images; the table of attacks
+in trust.md; and what is generated in charts.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from ci import (
     log_reference,
     markdown,
     message_types,
+    monitoring_reference,
     network_reference,
     rule_reference,
 )
@@ -196,7 +197,7 @@ if __name__ == "__main__":
     print(detector.relative_to(TOP))
     print(rule_reference.PAGE.relative_to(TOP), *(path.relative_to(TOP) for path in chart_reference.write()))
     print(PAGE.relative_to(TOP), METRICS_PAGE.relative_to(TOP), commands.relative_to(TOP))
-    print(network_reference.write().relative_to(TOP))
+    print(network_reference.write().relative_to(TOP), monitoring_reference.write().relative_to(TOP))
     print(*(path.relative_to(TOP) for path in message_types.write()))
     architecture.write()
     attack_reference.write()

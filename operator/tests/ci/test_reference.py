@@ -13,6 +13,7 @@ from ci import (
     detector_reference,
     markdown,
     message_types,
+    monitoring_reference,
     network_reference,
     reference,
     rule_reference,
@@ -50,6 +51,13 @@ def test_the_tables_of_who_may_reach_whom_are_current() -> None:
     assert text == network_reference.page(text), "run: make reference"
     with pytest.raises(ValueError, match="needs both marks"):
         network_reference.page("nothing")
+
+
+def test_the_table_of_alerts_is_current() -> None:
+    text = monitoring_reference.PAGE.read_text(encoding="utf-8")
+    assert text == monitoring_reference.page(text), "run: make reference"
+    with pytest.raises(ValueError, match="needs both marks"):
+        monitoring_reference.page("nothing")
 
 
 def test_every_edge_leads_from_known_pods_to_known_pods_for_a_reason() -> None:

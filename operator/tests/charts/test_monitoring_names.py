@@ -1,0 +1,35 @@
+"""Alerts and dashboards ask for metrics that exist: those that the reference pages name."""
+
+from __future__ import annotations
+
+import yaml
+
+from tests.stages.monitoring import FILES, OF_EVERY_PROCESS, asked, documented
+
+
+def test_every_alert_asks_for_metrics_that_exist() -> None:
+    alerts = yaml.safe_load((FILES / "alerts.yaml").read_text("utf-8"))
+    assert len({one["alert"] for one in alerts}) == len(alerts) >= 6
+    assert {one["severity"] for one in alerts} == {"critical", "warning"}
+    names = documented()
+    missing = {one["alert"]: found for one in alerts if (found := asked(one["expr"]) - names)}
+    assert missing == {}
+    assert all(asked(one["expr"]) for one in alerts)
+
+
+def test_every_panel_asks_for_metrics_that_exist() -> None:
+    dashboards = yaml.safe_load((FILES / "dashboards.yaml").read_text("utf-8"))
+    names = documented() | OF_EVERY_PROCESS
+    queries = {
+        f"{name}: {panel['title']}": asked(expression)
+        for name, dashboard in dashboards.items()
+        for panel in dashboard["panels"]
+        for expression, _ in panel["queries"]
+    }
+    assert {title: found - names for title, found in queries.items() if found - names} == {}
+    assert all(queries.values())
+
+
+def test_a_name_that_nobody_serves_is_seen() -> None:
+    assert asked('sum(rate(robotkube_manager_plans_lost_total{outcome="x"}[5m]))') - documented()
+    assert not asked("histogram_quantile(0.5, robotkube_manager_merged_seconds_bucket)") - documented()
