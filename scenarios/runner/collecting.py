@@ -150,6 +150,7 @@ def _count(values: Mapping[str, Any]) -> TopicCount:
         int(values["dropped"]),
         {int(second): int(count) for second, count in values["seconds"]},
         {int(age): int(count) for age, count in values["ages_ms"]},
+        {int(second): (int(p50), int(p99)) for second, p50, p99 in values.get("age_quantiles_ms", ())},
     )
 
 

@@ -28,7 +28,7 @@ class Stored:
     """One message found in storage. `sha256` is computed from the bytes read back: empty when they could not be read.
 
     `received` and `stored` are the recorder's times: arrival, and acknowledgement by the database (large messages
-    only).
+    only). `position`: x and y in m of a pose.
     """
 
     recording: str
@@ -38,6 +38,7 @@ class Stored:
     sha256: str
     stored: int | None = None
     volume: str | None = None
+    position: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -123,12 +124,14 @@ class ReleasedChart:
 
 @dataclass(frozen=True)
 class TopicCount:
-    """Counters of one topic at the event detector's input: per unix second of arrival, and per age in whole ms."""
+    """Counters of one topic at the event detector's input: per unix second of arrival, and per age in whole ms;
+    `age_quantiles_ms`: p50 and p99 of the ages per second, empty when the detector does not offer them."""
 
     received: int
     dropped: int
     seconds: Mapping[int, int]
     ages_ms: Mapping[int, int]
+    age_quantiles_ms: Mapping[int, tuple[int, int]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -166,6 +169,14 @@ class BrokerLog:
     gaps: int
     messages: tuple[BrokerMessages, ...]
     results: tuple[BrokerResult, ...] = ()
+
+
+@dataclass(frozen=True)
+class CoresUsed:
+    """Cores by component on average from each of `times` to the next: one value less than there are times."""
+
+    times: tuple[int, ...]
+    components: Mapping[str, tuple[float, ...]]
 
 
 @dataclass(frozen=True)
@@ -249,6 +260,7 @@ class RunInputs:
     released: tuple[ReleasedChart, ...] = ()
     summaries: Mapping[str, str] = field(default_factory=dict)
     cpu_core_seconds: Mapping[str, float] = field(default_factory=dict)
+    cores: CoresUsed | None = None
     set_up_seconds: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     steps: tuple[StepDone, ...] = ()

@@ -23,7 +23,7 @@ BREAKDOWN = ("detection", "forge", "argo_cd", "pod_start", "subscription", "stor
 def pose_hz_min(scenario: Scenario, inputs: RunInputs) -> float | None:
     """The least rate in Hz over all vehicles and all whole 5 s windows from the common start to the end of the
     routes."""
-    after = _same_process(inputs)
+    after = same_process(inputs)
     if after is None or inputs.started % NANOSECONDS:
         return None
     first = inputs.started // NANOSECONDS
@@ -69,7 +69,21 @@ def _window_rates(arrivals: Sequence[int], begin: int, end: int) -> list[float]:
 def pose_age_seconds(scenario: Scenario, inputs: RunInputs, share: float) -> float | None:
     """The age in s that `share` of all poses at the detector's input did not exceed (upper edge of a bucket of 1
     ms)."""
-    after = _same_process(inputs)
+    ages = pose_ages(scenario, inputs)
+    if ages is None:
+        return None
+    needed = math.ceil(share * ages.total())
+    reached = 0
+    for bucket in sorted(ages):
+        reached += ages[bucket]
+        if reached >= needed > 0:
+            return (bucket + 1) / 1000
+    return None
+
+
+def pose_ages(scenario: Scenario, inputs: RunInputs) -> Counter[int] | None:
+    """Poses of all vehicles at the detector's input by age in whole ms; None when the counters do not cover the run."""
+    after = same_process(inputs)
     if after is None or inputs.input_before is None:
         return None
     ages: Counter[int] = Counter()
@@ -80,16 +94,10 @@ def pose_age_seconds(scenario: Scenario, inputs: RunInputs, share: float) -> flo
         ages.update(after.topics[topic].ages_ms)
         if topic in inputs.input_before.topics:
             ages.subtract(inputs.input_before.topics[topic].ages_ms)
-    needed = math.ceil(share * ages.total())
-    reached = 0
-    for bucket in sorted(ages):
-        reached += ages[bucket]
-        if reached >= needed > 0:
-            return (bucket + 1) / 1000
-    return None
+    return ages
 
 
-def _same_process(inputs: RunInputs) -> InputCounters | None:
+def same_process(inputs: RunInputs) -> InputCounters | None:
     """The later reading, unless the detector was restarted between the two."""
     before, after = inputs.input_before, inputs.input_after
     return after if before and after and before.started == after.started else None

@@ -1,5 +1,6 @@
 """report.html: one file without scripts and without anything to load, made from the document of report.json by the
-template page.html.jinja. What the template cannot work out by itself, such as shares and scales, is computed here."""
+template page.html.jinja, with the pictures that the package `drawings` makes. What the template cannot work out by
+itself, such as shares and scales, is computed here."""
 
 from __future__ import annotations
 
@@ -11,6 +12,7 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from scenarios.runner.drawings.gallery import gallery
 from scenarios.runner.report import Report
 
 TEMPLATE = "page.html.jinja"
@@ -31,7 +33,8 @@ Document = Mapping[str, Any]
 
 
 def page(done: Report) -> str:
-    """The report as HTML: verdict, key metrics, timeline, expectations, latencies, CPU, audit, evidence, set-up."""
+    """The report as HTML: verdict, key metrics, drawings, timeline, expectations, latencies, CPU, audit, evidence,
+    set-up."""
     return page_of(done.document)
 
 
@@ -51,6 +54,7 @@ def page_of(document: Document) -> str:
             cpu=sorted(_bars(document["cpu_core_seconds"]), key=lambda one: -one["seconds"]),
             set_up=list(_bars(document["set_up_seconds"])),
             colours=COLOURS,
+            drawn=gallery(document),
         )
     )
     return BETWEEN_TAGS.sub("><", text).rstrip("\n") + "\n"

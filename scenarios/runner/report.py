@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -12,6 +14,7 @@ from scenarios.definition import Scenario
 from scenarios.runner import audit, evidence, expectations, measures, timeline
 from scenarios.runner.encounters import Encounter, encounters
 from scenarios.runner.inputs import NANOSECONDS, RunInputs, TaskLife
+from scenarios.runner.series import series
 
 PARAMETERS = (
     "vehicles",
@@ -23,6 +26,7 @@ PARAMETERS = (
     "encounters",
 )
 DIGITS = 6
+NUMBERS_OVER_LINES = re.compile(r"\[\n\s+([^\[\]{}\"]+?)\n\s+\]")
 
 
 @dataclass(frozen=True)
@@ -52,9 +56,15 @@ def write(done: Report, folder: Path, page: str) -> tuple[Path, Path]:
     """Writes report.json and report.html into `folder`, which is made; returns their paths."""
     folder.mkdir(parents=True, exist_ok=True)
     files = folder / "report.json", folder / "report.html"
-    files[0].write_text(json.dumps(done.document, indent=2) + "\n")
+    files[0].write_text(text(done.document))
     files[1].write_text(page)
     return files
+
+
+def text(document: dict[str, Any]) -> str:
+    """report.json: indented, but for lists of numbers, which take one line each."""
+    indented = json.dumps(document, indent=2, allow_nan=False)
+    return NUMBERS_OVER_LINES.sub(lambda numbers: f"[{' '.join(numbers[1].split())}]", indented) + "\n"
 
 
 def _document(
@@ -65,6 +75,7 @@ def _document(
     moments: Sequence[timeline.Moment],
 ) -> dict[str, Any]:
     latencies = [measures.latencies(encounter) for encounter in met]
+    drawings, problems = series(scenario, inputs, met)
     return _story(scenario, inputs) | {
         "scenario": scenario.name,
         "run": inputs.run,
@@ -87,10 +98,11 @@ def _document(
         "set_up_seconds": dict(inputs.set_up_seconds),
         "audit": [entry.row() for entry in audit.entries(inputs)],
         "evidence": [entry.row() for entry in evidence.entries(inputs)],
-        "warnings": _warnings(inputs),
+        "warnings": [*_warnings(inputs), *problems],
         "expectations": [asdict(row) for row in table],
         "timeline": [_moment(inputs, moment) for moment in moments],
         "passed": all(row.passed for row in table),
+        "drawings": drawings,
     }
 
 
@@ -144,9 +156,9 @@ def _warnings(inputs: RunInputs) -> list[str]:
 
 
 def _rounded(value: Any) -> Any:
-    """Cuts floats to microseconds, so that the file can be read."""
+    """Cuts floats to microseconds, so that the file can be read; what is no number is not known."""
     if isinstance(value, float):
-        return round(value, DIGITS)
+        return round(value, DIGITS) if math.isfinite(value) else None
     if isinstance(value, dict):
         return {key: _rounded(item) for key, item in value.items()}
     return [_rounded(item) for item in value] if isinstance(value, list) else value

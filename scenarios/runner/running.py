@@ -340,6 +340,7 @@ def collect(going: Run) -> RunInputs:
     )
     broker = read("observer of the broker", going.observer.stop, None, "broker")
     cpu = read("CPU time", lambda: going.sampler.stop(going.pods.labels), {}, "cpu_core_seconds")
+    cores = read("CPU time by second", lambda: going.sampler.cores(going.pods.labels), None, "cores")
     read("watch of the pods", going.pods.stop, None, "pods")
     read("watch of the tasks", going.tasks.stop, None, "tasks")
     edges = _edges(going, reading) if records else ()
@@ -369,6 +370,7 @@ def collect(going: Run) -> RunInputs:
         released=released,
         summaries=read("evidence in the catalogue", lambda: _summaries(going, released), {}, "summaries"),
         cpu_core_seconds=cpu,
+        cores=cores,
         set_up_seconds=going.set_up_seconds,
         steps=tuple(going.actor.done),
         tasks=read("tasks", going.tasks.lives, (), "tasks"),

@@ -16,12 +16,14 @@ from mcap.exceptions import McapError
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
+from robotkube.robots.ros.core.common_messages import pose_position
 from scenarios.generator.messages import stamp_of
 from scenarios.runner.inputs import LedgerLine, Recording, Stored
 
 Document = Mapping[str, Any]
 FindSegment = Callable[[str, str], Path | None]
 STAMP_BYTES_MIN = 12
+POSE_ENDING = "/pose"
 
 
 def recording(document: Document) -> Recording:
@@ -60,7 +62,19 @@ def _samples(buckets: Iterable[Document]) -> Iterator[Stored]:
                 int(sample["stamp"]),
                 int(sample["received"]),
                 hashlib.sha256(data).hexdigest(),
+                position=_position(str(bucket["topic"]), data),
             )
+
+
+def _position(topic: str, data: bytes) -> tuple[float, float] | None:
+    """Where a pose is; None of another message, or one that cannot be read."""
+    if not topic.endswith(POSE_ENDING):
+        return None
+    try:
+        x, y, _ = pose_position(data)
+    except ValueError:
+        return None
+    return x, y
 
 
 def _segments(index: Iterable[Document], find_segment: FindSegment) -> Iterator[Stored]:

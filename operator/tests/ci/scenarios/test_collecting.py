@@ -58,7 +58,8 @@ class Answers:
 
 def _count(count: Any) -> dict[str, Any]:
     pairs = {name: sorted(getattr(count, name).items()) for name in ("seconds", "ages_ms")}
-    return {"received": count.received, "dropped": count.dropped, **pairs}
+    quantiles = [[second, *both] for second, both in sorted(count.age_quantiles_ms.items())]
+    return {"received": count.received, "dropped": count.dropped, **pairs, "age_quantiles_ms": quantiles}
 
 
 @pytest.fixture
@@ -87,7 +88,7 @@ def going(run: Any, monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         deployment=forge,
         catalogue=SimpleNamespace(fetch=lambda: "", files=lambda _: {}),
         observer=SimpleNamespace(stop=lambda: replace(known.broker, until=2 * known.broker.until)),
-        sampler=SimpleNamespace(stop=lambda _: {}),
+        sampler=SimpleNamespace(stop=lambda _: {}, cores=lambda _: known.cores),
         pods=SimpleNamespace(stop=lambda: None, pods=lambda: known.pods, labels={}),
         tasks=SimpleNamespace(stop=lambda: None, lives=lambda: known.tasks),
         actor=SimpleNamespace(done=[]),
@@ -129,6 +130,7 @@ def test_a_run_that_went_well_is_collected_whole(going: SimpleNamespace) -> None
         ("access", "service_json", "manager's plans", {"audit_complete", "stop_to_removed_seconds"}),
         ("observer", "stop", "observer of the broker", {"point_clouds_at_broker_before_event"}),
         ("sampler", "stop", "CPU time", set()),
+        ("sampler", "cores", "CPU time by second", set()),
         ("pods", "stop", "watch of the pods", {"stop_to_removed_seconds"}),
         ("pods", "pods", "pods", {"stop_to_removed_seconds"}),
         ("tasks", "lives", "tasks", set()),

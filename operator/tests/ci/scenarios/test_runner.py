@@ -199,6 +199,39 @@ def test_cpu_is_summed_by_component_also_of_pods_that_came_and_went(tmp_path: Pa
     assert spent == {"etcd": 1.0, "kubelet": 3.0, "recorder (cloud)": 2.0}
 
 
+def test_cores_are_known_between_the_samples_also_of_pods_that_came_and_went(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ticks = iter((0, 2, 4))
+    clock = SimpleNamespace(time_ns=lambda: next(ticks) * 10**9)
+    monkeypatch.setattr(cpu, "time", clock)  # not everybody's: other threads look at the time, too
+    group(tmp_path, "daemons/vehicle-00.kubelet", 5)
+    group(tmp_path, "daemons/vehicle-01.kubelet", 5)
+    sampler = cpu.CpuSampler(tmp_path)
+    sampler.sample()
+    group(tmp_path, "daemons/vehicle-00.kubelet", 6)
+    group(tmp_path, "daemons/vehicle-01.kubelet", 7)
+    gone = group(tmp_path, f"cloud-0/kubepods/burstable/pod{UID}", 1)
+    sampler.sample()
+    (gone / "cpuacct.usage").unlink()
+    gone.rmdir()
+    group(tmp_path, "daemons/vehicle-01.kubelet", 8)
+    sampler.sample()
+    used = sampler.cores({UID: ("robotkube", "forge-0", {"app.kubernetes.io/name": "forge"})})
+    assert used.times == (0, 2 * 10**9, 4 * 10**9)
+    assert used.components == {"kubelet": (1.5, 0.5), "forge": (0.5, 0.0)}
+
+
+def test_a_long_run_keeps_every_second_sample(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cpu, "SAMPLES_MAX", 4)
+    seconds = iter(range(100))
+    monkeypatch.setattr(cpu, "time", SimpleNamespace(time_ns=lambda: next(seconds)))
+    sampler = cpu.CpuSampler(tmp_path)
+    for _ in range(7):
+        sampler.sample()
+    assert sampler.cores({}).times == (0, 4, 6)
+
+
 def spending(root: Path, core_seconds: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """While somebody sleeps, the cluster below `root` spends that much."""
     spent = 0.0

@@ -82,6 +82,24 @@ def test_topics_of_other_agents_are_found_and_counted(stage: Stage) -> None:
     assert counter["type"] == "geometry_msgs/msg/PoseStamped"
 
 
+def test_a_second_s_ages_have_quantiles_when_it_has_ended(stage: Stage) -> None:
+    stage.apply(DOCUMENT)
+    for age in (10, 20, 30, 2000):
+        stage.send("vehicle-00", 0, age_ms=age)
+
+    def quantiles() -> list[list[int]]:
+        found: list[list[int]] = stage.detector.input_document()["topics"]["/vehicles/vehicle_00/pose"][
+            "age_quantiles_ms"
+        ]
+        return found
+
+    assert quantiles() == []
+    second = stage.now // (1000 * MS)
+    stage.now += 1000 * MS
+    stage.send("vehicle-00", 0, age_ms=12)
+    assert quantiles() == [[second, 20, 1000]]
+
+
 def test_malformed_messages_are_counted_and_change_nothing(stage: Stage) -> None:
     stage.apply(DOCUMENT)
     stage.live.topics["/vehicles/vehicle_00/pose"].waiting = [(b"", 1), (b"\0\1\0\0abc", 2), (pose(1, 1)[:30], 3)]

@@ -14,10 +14,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from mcap.writer import CompressionType, IndexType, Writer
 
 from scenarios import definition
 from scenarios.generator import routes
+from scenarios.generator.messages import PoseWriter
 from scenarios.runner import inputs, report, storage
 from tests.stages.paths import SCENARIOS
 
@@ -25,15 +27,26 @@ FOLDER = SCENARIOS / "pose-point-cloud-db-recording"
 SECOND = 1_000_000_000
 START = 1_795_250_000 * SECOND
 DELAY = 12_000_000  # from a message's stamp to its reception
+WRITER = PoseWriter()
 VOLUME = "cloud-0/recordings"
 RECORDER = "cloud-0/recorder-vehicle-00-vehicle-01"
 DIGEST, SUMMARY_DIGEST = "sha256:" + "a" * 64, "sha256:" + "b" * 64
 
 
+@cache
 def payload(topic: str, stamp: int) -> bytes:
-    """A message that begins as every stamped message does and has a body of its own."""
+    """A message that begins as every stamped message does and has a body of its own; a pose is one of the route."""
+    if topic in _numbers():
+        motion = routes.motion(_scenario().parameters, _numbers()[topic], np.array([(stamp - START) / SECOND]))
+        return WRITER.message(stamp, float(motion.x[0]), float(motion.y[0]), float(motion.yaw[0]))
     body = hashlib.sha256(f"{topic}/{stamp}".encode()).digest()
     return b"\x00\x01\x00\x00" + struct.pack("<iI", *divmod(stamp, SECOND)) + body
+
+
+@cache
+def _numbers() -> dict[str, int]:
+    """The number of its vehicle, by pose topic."""
+    return {definition.pose_topic(agent): number for number, agent in enumerate(_scenario().vehicles)}
 
 
 @dataclass
@@ -183,7 +196,15 @@ def _known(scenario: definition.Scenario) -> inputs.RunInputs:
         releases_before={"vehicle-00/mqtt-bridge": "1"},
         releases_after={"vehicle-00/mqtt-bridge": "1"},
         cpu_core_seconds={"etcd": 1.5},
+        cores=_cores(seconds),
     )
+
+
+def _cores(seconds: int) -> inputs.CoresUsed:
+    """Ten components, the first with half a core, each of the others with less."""
+    times = tuple(START + (second - 2) * SECOND for second in range(seconds + 3))
+    components = {f"component-{number}": (0.5 / (number + 1),) * (len(times) - 1) for number in range(10)}
+    return inputs.CoresUsed(times, components)
 
 
 def _edge(number: int, kind: str, stamp: int) -> inputs.Edge:
@@ -241,7 +262,11 @@ def _commit(plan: inputs.Plan) -> inputs.Commit:
 def _counters(scenario: definition.Scenario, seconds: int) -> inputs.InputCounters:
     first = START // SECOND
     count = inputs.TopicCount(
-        seconds * 100, 0, {first + n: 100 for n in range(seconds)}, {12: seconds * 99, 40: seconds}
+        seconds * 100,
+        0,
+        {first + n: 100 for n in range(seconds)},
+        {12: seconds * 99, 40: seconds},
+        {first + n: (12, 40) for n in range(seconds)},
     )
     return inputs.InputCounters(1, {definition.pose_topic(agent): count for agent in scenario.vehicles})
 
