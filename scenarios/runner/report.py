@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from scenarios.definition import Scenario
-from scenarios.runner import audit, evidence, expectations, measures, timeline
+from scenarios.runner import audit, evidence, expectations, measures, naming, network, timeline
 from scenarios.runner.encounters import Encounter, encounters
 from scenarios.runner.inputs import NANOSECONDS, RunInputs, TaskLife
 
@@ -65,33 +65,39 @@ def _document(
     moments: Sequence[timeline.Moment],
 ) -> dict[str, Any]:
     latencies = [measures.latencies(encounter) for encounter in met]
-    return _story(scenario, inputs) | {
-        "scenario": scenario.name,
-        "run": inputs.run,
-        "provider": inputs.provider,
-        "nodes": len(scenario.nodes),
-        "parameters": {name: getattr(scenario.parameters, name) for name in PARAMETERS},
-        "rates_measured": {
-            "pose_hz_min": measures.pose_hz_min(scenario, inputs),
-            "point_cloud_hz_min": measures.point_cloud_hz_min(met),
-        },
-        "age_seconds": {
-            "pose_p50": measures.pose_age_seconds(scenario, inputs, 0.5),
-            "pose_p99": measures.pose_age_seconds(scenario, inputs, 0.99),
-        },
-        "latency_seconds": latencies[0] if latencies else dict.fromkeys(measures.LATENCIES),
-        "latency_quantiles": {name: measures.quantiles(one[name] for one in latencies) for name in measures.LATENCIES},
-        "latency_breakdown_seconds": [measures.breakdown(encounter) for encounter in met],
-        "recorded": measures.recorded(met),
-        "cpu_core_seconds": dict(sorted(inputs.cpu_core_seconds.items())),
-        "set_up_seconds": dict(inputs.set_up_seconds),
-        "audit": [entry.row() for entry in audit.entries(inputs)],
-        "evidence": [entry.row() for entry in evidence.entries(inputs)],
-        "warnings": _warnings(inputs),
-        "expectations": [asdict(row) for row in table],
-        "timeline": [_moment(inputs, moment) for moment in moments],
-        "passed": all(row.passed for row in table),
-    }
+    return (
+        _story(scenario, inputs)
+        | _network(inputs, met)
+        | {
+            "scenario": scenario.name,
+            "run": inputs.run,
+            "provider": inputs.provider,
+            "nodes": len(scenario.nodes),
+            "parameters": {name: getattr(scenario.parameters, name) for name in PARAMETERS},
+            "rates_measured": {
+                "pose_hz_min": measures.pose_hz_min(scenario, inputs),
+                "point_cloud_hz_min": measures.point_cloud_hz_min(met),
+            },
+            "age_seconds": {
+                "pose_p50": measures.pose_age_seconds(scenario, inputs, 0.5),
+                "pose_p99": measures.pose_age_seconds(scenario, inputs, 0.99),
+            },
+            "latency_seconds": latencies[0] if latencies else dict.fromkeys(measures.LATENCIES),
+            "latency_quantiles": {
+                name: measures.quantiles(one[name] for one in latencies) for name in measures.LATENCIES
+            },
+            "latency_breakdown_seconds": [measures.breakdown(encounter) for encounter in met],
+            "recorded": measures.recorded(met),
+            "cpu_core_seconds": dict(sorted(inputs.cpu_core_seconds.items())),
+            "set_up_seconds": dict(inputs.set_up_seconds),
+            "audit": [entry.row() for entry in audit.entries(inputs)],
+            "evidence": [entry.row() for entry in evidence.entries(inputs)],
+            "warnings": _warnings(inputs),
+            "expectations": [asdict(row) for row in table],
+            "timeline": [_moment(inputs, moment) for moment in moments],
+            "passed": all(row.passed for row in table),
+        }
+    )
 
 
 def _story(scenario: Scenario, inputs: RunInputs) -> dict[str, Any]:
@@ -103,6 +109,14 @@ def _story(scenario: Scenario, inputs: RunInputs) -> dict[str, Any]:
         for step in inputs.steps
     ]
     return {"steps": steps, "tasks": [_task(inputs, task) for task in inputs.tasks]}
+
+
+def _network(inputs: RunInputs, met: Sequence[Encounter]) -> dict[str, Any]:
+    """Cables, and what is missing behind them, of a run whose cables had conditions."""
+    if not inputs.cables:
+        return {}
+    named = [[one.row() for one in naming.naming(encounter) or ()] for encounter in met]
+    return {"network": network.rows(inputs.cables), "missing": named}
 
 
 def _task(inputs: RunInputs, task: TaskLife) -> dict[str, Any]:
@@ -138,6 +152,7 @@ def _warnings(inputs: RunInputs) -> list[str]:
     warnings += [
         f"event {edge.id}: {edge.error}" for edge in inputs.edges if edge.error and edge.time >= inputs.started
     ]
+    warnings += network.problems(inputs.cables)
     plans = [plan for plan in inputs.plans if plan.started is None or plan.started >= inputs.started]
     warnings += [f"plan {plan.plan}: {plan.error}" for plan in plans if plan.error]
     return warnings
