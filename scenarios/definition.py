@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import jsonschema
 import yaml
 
+from scenarios.network import Cable, NetworkError, read_network
 from scenarios.steps import Step, read_steps
 
 SCHEMA = Path(__file__).with_name("scenario.schema.json")
@@ -102,7 +103,8 @@ class Bound:
 
 @dataclass(frozen=True)
 class Scenario:
-    """A scenario with its parameters settled."""
+    """A scenario with its parameters settled. `network`: what cables are like, of the agents whose cable is not as the
+    machine has it."""
 
     name: str
     description: str
@@ -113,6 +115,7 @@ class Scenario:
     expectations: Mapping[str, Bound]
     steps: tuple[Step, ...] = ()
     extra_charts: tuple[str, ...] = ()
+    network: Mapping[str, Cable] = field(default_factory=dict)
 
     @property
     def vehicles(self) -> tuple[str, ...]:
@@ -170,8 +173,8 @@ def find(name: str) -> Path:
 
 
 def load(folder: Path, overrides: Sequence[str] = (), variant: str | None = None) -> Scenario:
-    """Reads `folder`/scenario.yaml, lays a variant over its parameters, steps and expectations, then `key=value`
-    overrides over its parameters, and checks it all.
+    """Reads `folder`/scenario.yaml, lays a variant over its parameters, steps, network and expectations, then
+    `key=value` overrides over its parameters, and checks it all.
 
     Raises `ScenarioError` with file, key and fix.
     """
@@ -179,23 +182,33 @@ def load(folder: Path, overrides: Sequence[str] = (), variant: str | None = None
     document = _document(file)
     varied = dict(_variant(file, document, variant))
     steps = varied.pop("steps", document["story"].get("steps", []))
+    network = varied.pop("network", document.get("network", []))
     expectations = document["expectations"] | varied.pop("expectations", {})
     parameters = dict(document["parameters"]) | varied | _overrides(file, overrides)
     story = document["story"] | {"steps": steps}
-    document = document | {"parameters": parameters, "story": story, "expectations": expectations}
+    document = document | {"parameters": parameters, "story": story, "expectations": expectations, "network": network}
     _check(file, document)
     _check_distances(file, parameters)
+    nodes = _nodes(file, document["topology"]["nodes"], parameters["vehicles"])
     return Scenario(
         name=document["name"],
         description=document["description"],
         folder=folder,
         parameters=Parameters(**parameters),
         story=_story(document["story"]),
-        nodes=_nodes(file, document["topology"]["nodes"], parameters["vehicles"]),
+        nodes=nodes,
         expectations={name: _bound(bound, parameters) for name, bound in document["expectations"].items()},
         steps=read_steps(steps),
         extra_charts=tuple(document.get("publish", {}).get("charts", ())),
+        network=_network(file, network, nodes),
     )
+
+
+def _network(file: Path, entries: Sequence[Mapping[str, Any]], nodes: Sequence[Node]) -> dict[str, Cable]:
+    try:
+        return read_network(entries, {node.agent: node.role for node in nodes})
+    except NetworkError as error:
+        raise ScenarioError(f"{file}: {error}") from error
 
 
 def _story(given: Mapping[str, Any]) -> Story:

@@ -31,6 +31,12 @@ class AddressPlan:
         return self.nodes[1]
 
     @property
+    def hardware_address(self) -> str:
+        """The bridge's own, locally administered. Left to the kernel it is the least of its ports', and another one
+        with each that comes or goes: nodes would speak to the old one for half a minute."""
+        return ":".join(f"{byte:02x}" for byte in (0x02, 0x52, 0x4B, *self.gateway.packed[1:]))
+
+    @property
     def kubernetes_service(self) -> IPv4Address:
         """ClusterIP of the Service `kubernetes`: the first one of the range, as the API server takes it."""
         return self.services[1]
@@ -38,6 +44,10 @@ class AddressPlan:
     def node(self, index: int) -> IPv4Address:
         """Address of the node number `index` (from 0) on the bridge."""
         return self.nodes[FIRST_NODE + self._checked(index)]
+
+    def index(self, address: str) -> int:
+        """The number of the node that has this address."""
+        return int(IPv4Address(address)) - int(self.node(0))
 
     def pod_subnet(self, index: int) -> IPv4Network:
         """The /24 that the node number `index` gives to its pods."""

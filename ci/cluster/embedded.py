@@ -27,6 +27,7 @@ from ci.cluster import (
 )
 from ci.cluster.addresses import PLANS, AddressPlan, plan_of
 from ci.cluster.api import Api
+from ci.cluster.emulation import emulating
 from ci.cluster.node_processes import Node
 from ci.cluster.pki import Authority
 from ci.cluster.processes import Launcher, Process, recorded, wait_until
@@ -81,6 +82,7 @@ class Embedded:
 
     def _up(self, topology: Topology, wanted: Sequence[images.Image]) -> None:
         steps = Steps(STEPS)
+        emulating.clear(self.plan, self.folders)
         record = Record.read(self.folders.record)
         if self._reusable(record, topology):
             with steps.step(f"cluster {self.name}: running, of the same topology") as step:
@@ -135,6 +137,10 @@ class Embedded:
     def start_node(self, name: str) -> None:
         """Let a stopped node come back."""
         outages.start(self.name, name)
+
+    def emulator(self) -> emulating.NetworkEmulation:
+        """See Provider.emulator."""
+        return emulating.NetworkEmulation(self.plan, self.launcher, self.nodes)
 
     def join(self, spec: NodeSpec, wanted: Sequence[images.Image]) -> None:
         """Add a node to the running cluster; see joining.join."""

@@ -83,7 +83,7 @@ def _sysctl(name: str, settings: Path = SETTINGS) -> Path:
 def create_bridge(plan: AddressPlan) -> None:
     """The bridge with the gateway's address, and the filter for what comes over it."""
     commands = [
-        f"link add {plan.bridge} type bridge",
+        f"link add {plan.bridge} address {plan.hardware_address} type bridge",
         f"addr add {plan.gateway}/{plan.nodes.prefixlen} dev {plan.bridge}",
         f"link set {plan.bridge} up",
     ]
@@ -161,11 +161,11 @@ def _inside(plan: AddressPlan, index: int, count: int) -> Iterable[str]:
 
 
 def remove(plan: AddressPlan) -> None:
-    """Remove bridge, cables and filter, whatever of it is there."""
+    """Remove bridge, cables, filter and rules of links, whatever of it is there."""
     for link in links(plan):
         subprocess.run(["ip", "link", "delete", link], capture_output=True, timeout=TIMEOUT_SECONDS, check=False)
-    if tables(plan):
-        run(["nft", "delete", "table", "inet", plan.bridge])
+    for table in tables(plan):
+        run(["nft", "delete", *table.split()])
 
 
 def links(plan: AddressPlan) -> tuple[str, ...]:
@@ -173,7 +173,7 @@ def links(plan: AddressPlan) -> tuple[str, ...]:
     if shutil.which("ip") is None:
         return ()  # without it no cluster can have been started
     names = (entry["ifname"] for entry in json.loads(run(["ip", "-json", "link", "show"]) or "[]"))
-    return tuple(name for name in names if name == plan.bridge or name.startswith(f"{plan.bridge}-"))
+    return tuple(name for name in names if _is_of(plan, name))
 
 
 def tables(plan: AddressPlan) -> tuple[str, ...]:
@@ -181,7 +181,11 @@ def tables(plan: AddressPlan) -> tuple[str, ...]:
     if shutil.which("nft") is None:
         return ()
     listed = run(["nft", "list", "tables"]).splitlines()
-    return tuple(line for line in listed if line.split()[-1] == plan.bridge)
+    return tuple(line for line in listed if _is_of(plan, line.split()[-1]))
+
+
+def _is_of(plan: AddressPlan, name: str) -> bool:
+    return name == plan.bridge or name.startswith(f"{plan.bridge}-")
 
 
 def routes(plan: AddressPlan) -> tuple[str, ...]:

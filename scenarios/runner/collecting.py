@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from robotkube.foundation.database.adapters.connection import DatabaseLogin, connect
-from robotkube.robots.recording.core.documents import INDEX, RECORDINGS, SAMPLES
+from robotkube.robots.recording.core.documents import AUDITS, INDEX, RECORDINGS, SAMPLES
 from scenarios.definition import Scenario, cloud_topic, pose_topic, transform_topic
 from scenarios.runner import storage
 from scenarios.runner.access import Access
-from scenarios.runner.inputs import Edge, InputCounters, LedgerLine, Plan, Recording, Stored, TopicCount
+from scenarios.runner.inputs import AuditGap, Edge, InputCounters, LedgerLine, Plan, Recording, Stored, TopicCount
 from scenarios.runner.placing import LEDGER, Volumes
 from scenarios.runner.waiting import RunError
 
@@ -189,8 +189,9 @@ def _ledger(file: Path) -> tuple[LedgerLine, ...]:
 
 def stored(
     access: Access, scenario: Scenario, volumes: Volumes, events: Sequence[str]
-) -> tuple[tuple[Recording, ...], tuple[Stored, ...]]:
-    """Recordings of the given events, and all their messages, read back from database and segments."""
+) -> tuple[tuple[Recording, ...], tuple[Stored, ...], tuple[AuditGap, ...]]:
+    """Recordings of the given events, all their messages, read back from database and segments, and what their audits
+    name as missing."""
     namespace = scenario.story.recording_agent
     secret, address = access.secret(namespace, "database-account"), access.endpoint("database")
     account = DatabaseLogin(
@@ -207,10 +208,11 @@ def stored(
         mine = tuple(recording for recording in known if recording.event in events)
         names = {"recording": {"$in": [recording.name for recording in mine]}}
         samples, index = list(database[SAMPLES].find(names)), list(database[INDEX].find(names))
+        audits = list(database[AUDITS].find(names))
         database.client.close()
     except Exception as error:
         raise RunError(f"database {account.host}:{account.port} as {account.username}: {error}") from error
-    return mine, storage.stored(samples, index, segment_finder(scenario, volumes))
+    return mine, storage.stored(samples, index, segment_finder(scenario, volumes)), storage.gaps(audits)
 
 
 def segment_finder(scenario: Scenario, volumes: Volumes) -> storage.FindSegment:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from scenarios.definition import Scenario, cloud_topic, pose_topic, transform_topic
-from scenarios.runner.inputs import NANOSECONDS, Edge, LedgerLine, Plan, Pod, RunInputs, Stored
+from scenarios.runner.inputs import NANOSECONDS, AuditGap, Edge, LedgerLine, Plan, Pod, RunInputs, Stored
 
 PAIR = 2
 
@@ -28,6 +28,7 @@ class Encounter:
     pods: tuple[Pod, ...]
     stored: tuple[Stored, ...]
     ledgers: Mapping[str, tuple[LedgerLine, ...]]
+    gaps: tuple[AuditGap, ...] = ()
 
     @cached_property
     def agents(self) -> tuple[str, ...]:
@@ -38,6 +39,11 @@ class Encounter:
     def topics(self) -> tuple[str, ...]:
         """The four topics of the window: poses and clouds of both vehicles."""
         return tuple(topic(agent) for topic in (pose_topic, cloud_topic) for agent in self.agents)
+
+    @cached_property
+    def pose_topics(self) -> tuple[str, ...]:
+        """Topics of the poses alone."""
+        return tuple(pose_topic(agent) for agent in self.agents)
 
     @cached_property
     def cloud_topics(self) -> tuple[str, ...]:
@@ -53,7 +59,7 @@ class Encounter:
     def window(self) -> tuple[int, int] | None:
         """First and last source stamp of the window; None when a vehicle has no cloud in storage or nothing stopped
         it."""
-        firsts = [min(self._stamps(topic), default=None) for topic in self.cloud_topics]
+        firsts = [min(self.stamps(topic), default=None) for topic in self.cloud_topics]
         if self.stop is None or None in firsts:
             return None
         return max(first for first in firsts if first is not None), self.stop.stamp
@@ -67,17 +73,21 @@ class Encounter:
 
     def count(self, topics: Sequence[str]) -> int:
         """Distinct messages of `topics` inside the window that are in storage and can be read."""
-        return sum(1 for topic in topics for stamp in self._stamps(topic) if self._inside(stamp))
+        return sum(1 for topic in topics for stamp in self.stamps(topic) if self._inside(stamp))
 
-    @cached_property
+    @property
     def lost(self) -> int | None:
         """Ledger lines of the four topics inside the window that are not in storage; None without a window or a
         ledger."""
-        if self.window is None or any(not self.ledgers.get(topic) for topic in self.topics):
+        return self.lost_of(self.topics)
+
+    def lost_of(self, topics: Sequence[str]) -> int | None:
+        """The same of some topics."""
+        if self.window is None or any(not self.ledgers.get(topic) for topic in topics):
             return None
         return sum(
-            self._inside(line.stamp) and line.stamp not in self._stamps(topic)
-            for topic in self.topics
+            self._inside(line.stamp) and line.stamp not in self.stamps(topic)
+            for topic in topics
             for line in self.ledgers[topic]
         )
 
@@ -116,7 +126,8 @@ class Encounter:
     def _inside(self, stamp: int) -> bool:
         return self.window is not None and self.window[0] <= stamp <= self.window[1]
 
-    def _stamps(self, topic: str) -> frozenset[int]:
+    def stamps(self, topic: str) -> frozenset[int]:
+        """The stamps of a topic's messages in storage."""
         return self._stamps_by_topic.get(topic, frozenset())
 
     @cached_property
@@ -163,6 +174,7 @@ def _encounter(scenario: Scenario, inputs: RunInputs, start: Edge, stop: Edge | 
         pods=_pods(inputs, plan, start.time, end),
         stored=tuple(message for message in inputs.stored if message.recording in names),
         ledgers=inputs.ledgers,
+        gaps=tuple(gap for gap in inputs.gaps if gap.recording in names),
     )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from scenarios.definition import Bound, Scenario
-from scenarios.runner import audit, evidence, measures, outcomes, sharing
+from scenarios.runner import audit, evidence, measures, naming, network, outcomes, sharing
 from scenarios.runner.encounters import Encounter
 from scenarios.runner.inputs import STORY, RunInputs
 
@@ -85,6 +85,10 @@ MEASURES: dict[str, Measure] = {
     "releases_after_equal_before": _releases_equal,
     "audit_complete": lambda _, inputs, __: audit.complete(inputs, audit.entries(inputs)),
     "releases_had_evidence": lambda _, inputs, __: evidence.complete(inputs),
+    "poses_lost": lambda _, __, met: measures.total(one.lost_of(one.pose_topics) for one in met),
+    "missing_unnamed": lambda _, __, met: naming.unnamed(met),
+    "named_but_present": lambda _, __, met: naming.named_but_present(met),
+    "network_as_asked": lambda _, inputs, __: network.as_asked(inputs),
     "recordings": lambda _, __, met: sharing.recordings(met),
     "pairs_recorded": lambda _, __, met: sharing.pairs_recorded(met),
     "demands_on_shared_release_max": lambda _, inputs, met: sharing.demands_max(inputs, met),
@@ -123,6 +127,10 @@ NEEDS: dict[str, frozenset[str]] = {
     "releases_after_equal_before": frozenset(["releases_before", "releases_after"]),
     "audit_complete": frozenset(["commits", "pull_requests", "plans"]),
     "releases_had_evidence": frozenset(["released", "summaries"]),
+    "poses_lost": _STORED | {"ledgers"},
+    "missing_unnamed": _STORED | {"ledgers", "gaps"},
+    "named_but_present": _STORED | {"ledgers", "gaps"},
+    "network_as_asked": frozenset(["cables"]),
     "recordings": _STORED,
     "pairs_recorded": _STORED,
     "demands_on_shared_release_max": frozenset(["edges", "history"]),

@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from ci.cluster.emulation.conditions import Measured, Traffic
+
 NANOSECONDS = 1_000_000_000
 STORY = "story"
 
@@ -234,11 +236,49 @@ class MainState:
 
 
 @dataclass(frozen=True)
+class AuditGap:
+    """Messages of a topic that the audit of a recording says are missing: where and why, how many (None: nobody can
+    know), and between which stamps, both included."""
+
+    recording: str
+    topic: str
+    where: str
+    why: str
+    count: int | None
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
+class HoleDone:
+    """A hole in coverage as it was asked for, and when it began, in s since the start (None: it was not opened)."""
+
+    at_seconds: float
+    seconds: float
+    began_seconds: float | None
+
+
+@dataclass(frozen=True)
+class NetworkOfRun:
+    """The cable of an agent that had conditions: what was asked for by the keys of the scenario, where in the path it
+    acts, what a probe measured before the run, and what `up` and `down` carried during it."""
+
+    agent: str
+    asked: Mapping[str, float]
+    acts: tuple[str, ...]
+    measured: Measured | None
+    traffic: Mapping[str, Traffic]
+    holes: tuple[HoleDone, ...]
+    relay_dropped: int
+
+
+@dataclass(frozen=True)
 class RunInputs:
     """Everything the report is computed from. `releases_*` map a release to a digest of its specification; `summaries`
     maps the digest of each verification summary in the catalogue to the digest of the chart that it is about, empty
-    when it is not believed; `history` has main's commits of the run, the one before it first; `missing` names the
-    fields here that could not be read, or not whole, and STORY when the run broke off."""
+    when it is not believed; `history` has main's commits of the run, the one before it first; `gaps` is what the audits
+    of the recordings name; `missing` names the fields here that could not be read, or not whole, and STORY when the run
+    broke off."""
 
     run: str
     provider: str
@@ -266,4 +306,6 @@ class RunInputs:
     steps: tuple[StepDone, ...] = ()
     tasks: tuple[TaskLife, ...] = ()
     history: tuple[MainState, ...] = ()
+    gaps: tuple[AuditGap, ...] = ()
+    cables: tuple[NetworkOfRun, ...] = ()
     missing: frozenset[str] = frozenset()

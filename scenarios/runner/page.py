@@ -80,7 +80,7 @@ def _environment() -> Environment:
         keep_trailing_newline=True,
     )
     filters = {"value": value, "thousandths": _thousandths, "words": _words, "percent": _percent, "cause": _cause}
-    environment.filters.update(filters | {"short": _short})
+    environment.filters.update(filters | {"short": _short, "measured": _measured, "reasons": _reasons})
     return environment
 
 
@@ -155,6 +155,32 @@ def _percent(share: float) -> str:
 def _cause(trailers: Mapping[str, Sequence[str]]) -> str:
     """Who asked, and why."""
     return " ".join(f"{word} {', '.join(trailers[key])}" for word, key in CAUSES if key in trailers)
+
+
+def _measured(measured: Document | None) -> Iterator[str]:
+    """What the probe of a cable measured, a line for each."""
+    if measured is None:
+        yield "nothing"
+        return
+    trip = measured["round_trip_ms"]
+    yield (
+        f"round trip {value(trip['median'])} ms ({value(trip['least'])} to {value(trip['greatest'])})"
+        if trip
+        else ("no round trip")
+    )
+    yield from (
+        f"{_words(key)} {value(measured[key])}" for key in ("up_mbit", "down_mbit") if measured[key] is not None
+    )
+    yield f"{measured['lost']} of {measured['sent']} packets of the probe lost"
+
+
+def _reasons(gaps: Sequence[Document]) -> Iterator[str]:
+    """Places and reasons that audits name, each with the sum of its gaps."""
+    places = dict.fromkeys((str(gap["where"]), str(gap["why"])) for gap in gaps)
+    for where, why in places:
+        counts = [gap["count"] for gap in gaps if (gap["where"], gap["why"]) == (where, why)]
+        total = "not known how many" if None in counts else sum(counts)
+        yield f"{where}: {why}: {total} in {len(counts)} gaps"
 
 
 def _short(digest: object) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from scenarios.definition import Scenario
-from scenarios.runner import audit, evidence, expectations, measures, timeline
+from scenarios.runner import audit, evidence, expectations, measures, naming, network, timeline
 from scenarios.runner.encounters import Encounter, encounters
 from scenarios.runner.inputs import NANOSECONDS, RunInputs, TaskLife
 from scenarios.runner.series import series
@@ -76,7 +76,7 @@ def _document(
 ) -> dict[str, Any]:
     latencies = [measures.latencies(encounter) for encounter in met]
     drawings, problems = series(scenario, inputs, met)
-    return _story(scenario, inputs) | {
+    return _story(scenario, inputs) | _network(inputs, met) | {
         "scenario": scenario.name,
         "run": inputs.run,
         "provider": inputs.provider,
@@ -117,6 +117,14 @@ def _story(scenario: Scenario, inputs: RunInputs) -> dict[str, Any]:
     return {"steps": steps, "tasks": [_task(inputs, task) for task in inputs.tasks]}
 
 
+def _network(inputs: RunInputs, met: Sequence[Encounter]) -> dict[str, Any]:
+    """Cables, and what is missing behind them, of a run whose cables had conditions."""
+    if not inputs.cables:
+        return {}
+    named = [[one.row() for one in naming.naming(encounter) or ()] for encounter in met]
+    return {"network": network.rows(inputs.cables), "missing": named}
+
+
 def _task(inputs: RunInputs, task: TaskLife) -> dict[str, Any]:
     conditions = [
         {"seconds": _since(inputs, one.time), "condition": f"{one.type}={one.status}", "reason": one.reason}
@@ -150,6 +158,7 @@ def _warnings(inputs: RunInputs) -> list[str]:
     warnings += [
         f"event {edge.id}: {edge.error}" for edge in inputs.edges if edge.error and edge.time >= inputs.started
     ]
+    warnings += network.problems(inputs.cables)
     plans = [plan for plan in inputs.plans if plan.started is None or plan.started >= inputs.started]
     warnings += [f"plan {plan.plan}: {plan.error}" for plan in plans if plan.error]
     return warnings

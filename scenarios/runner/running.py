@@ -16,15 +16,17 @@ from ci.errors import SetUpError
 from ci.folders import PROJECT
 from scenarios import definition
 from scenarios.definition import Scenario, cloud_topic, pose_topic
-from scenarios.generator import bags, checking, routes
-from scenarios.runner import collecting, driving, evidence, inspection, policy, proposing, report, timeline
+from scenarios.generator import bags, checking, coverage, routes
+from scenarios.runner import cables, collecting, driving, evidence, inspection, policy, proposing, report, timeline
 from scenarios.runner.access import PLATFORM, Access
 from scenarios.runner.acting import Actor, merge_plans
+from scenarios.runner.cables import Cables
 from scenarios.runner.cpu import CpuSampler
 from scenarios.runner.deployment import CATALOGUE, Deployment, specification_digests
 from scenarios.runner.inputs import (
     NANOSECONDS,
     STORY,
+    AuditGap,
     Edge,
     InputCounters,
     Plan,
@@ -51,6 +53,8 @@ PLAY_SECONDS_MARGIN = 60.0
 REMOVAL_SECONDS_MAX = 60.0
 OBSERVE_SECONDS_AFTER_REMOVAL = 6.0
 
+StoredOfRun = tuple[tuple[Recording, ...], tuple[Stored, ...], tuple[AuditGap, ...]]
+
 
 @dataclass
 class Run:
@@ -69,6 +73,7 @@ class Run:
     progress: Callable[[str], None]
     set_up_seconds: dict[str, float]
     actor: Actor
+    cables: Cables
     volume_folders: Mapping[str, Path] = field(default_factory=dict)
     releases_before: Mapping[str, str] = field(default_factory=dict)
     main_before: str = ""
@@ -111,6 +116,7 @@ def run(
     began = time.monotonic()
     if scenario.players:
         routes.duration_seconds(scenario.parameters)
+    coverage.coverage_holes(scenario)
     made = bags.make_bags(scenario, progress=_print_progress) if scenario.players else {}
     for agent, bag in made.items():
         checking.check_bag(bag, scenario, agent)
@@ -152,9 +158,14 @@ def _run(scenario: Scenario, cluster: str, made: Mapping[str, Path], seconds: di
             progress=_print_progress,
             set_up_seconds=seconds,
             actor=actor,
+            cables=Cables(scenario, provider.emulator(), _print_progress),
         )
         actor.before_kill = going.keep_plans
-        done = execute(going, made)
+        going.cables.check()
+        try:
+            done = execute(going, made)
+        finally:
+            going.cables.reset()
         show(going, done, reports)
     return 0 if done.passed else 1
 
@@ -190,6 +201,7 @@ def execute(going: Run, made: Mapping[str, Path]) -> report.Report:
     going.observer.start()
     going.sampler.start()
     try:
+        going.cables.begin()
         play(going)
         going.actor.perform(going.scenario.steps)
         wait_for_end(going)
@@ -212,6 +224,7 @@ def _note(going: Run, error: Exception) -> None:
 
 def prepare(going: Run, made: Mapping[str, Path]) -> None:
     """Bags into the volume claims, the person's pull request, all releases ready; nothing is played yet."""
+    going.cables.reset()
     driving.stop(going.access, going.scenario, going.progress)
     began = time.monotonic()
     going.volume_folders = place_bags(going.access, going.volumes, made, going.progress)
@@ -264,10 +277,12 @@ def play(going: Run) -> None:
     """Tells all players to start on one whole second; a story without players begins at once."""
     if not going.scenario.players:
         going.started = time.time_ns()
+        going.cables.play(going.started)
         return
     if going.scenario.records:
         going.input_before = collecting.input_counters(going.access, going.scenario)
     going.started = (time.time_ns() // NANOSECONDS + 1 + START_DELAY_SECONDS) * NANOSECONDS
+    going.cables.play(going.started)
     for agent in going.scenario.players:
         going.access.put_simulation(agent, going.name, going.started)
     if time.time_ns() > going.started:
@@ -333,6 +348,9 @@ def collect(going: Run) -> RunInputs:
     access = going.access
     reading = collecting.Collecting(going.warn)
     read, records = reading.read, scenario.records
+    cables_of_run = read("network", going.cables.finish, (), "cables")
+    for text in going.cables.warnings:
+        going.warn(text)
     input_after = (
         read("event detector's input", lambda: collecting.input_counters(access, scenario), None, "input_after")
         if records
@@ -344,7 +362,7 @@ def collect(going: Run) -> RunInputs:
     read("watch of the pods", going.pods.stop, None, "pods")
     read("watch of the tasks", going.tasks.stop, None, "tasks")
     edges = _edges(going, reading) if records else ()
-    recordings, stored = _stored(going, reading, edges) if records else ((), ())
+    recordings, stored, gaps = _stored(going, reading, edges) if records else ((), (), ())
     read("deployment repository", going.deployment.fetch, "", "commits", "releases_after", "released", "history")
     released = read("releases of the run", lambda: evidence.released(_releases_of_the_run(going)), (), "released")
     return RunInputs(
@@ -375,6 +393,8 @@ def collect(going: Run) -> RunInputs:
         steps=tuple(going.actor.done),
         tasks=read("tasks", going.tasks.lives, (), "tasks"),
         history=read("main's history", lambda: going.deployment.history(going.main_before), (), "history"),
+        gaps=gaps,
+        cables=cables_of_run,
         warnings=tuple(going.warnings),
         missing=frozenset(reading.missing | ({STORY} if going.broke_off else set())),
     )
@@ -393,18 +413,14 @@ def _plans(going: Run, reading: collecting.Collecting) -> tuple[Plan, ...]:
     return merge_plans(going.plans_before, later)
 
 
-def _stored(
-    going: Run, reading: collecting.Collecting, edges: Sequence[Edge]
-) -> tuple[tuple[Recording, ...], tuple[Stored, ...]]:
+def _stored(going: Run, reading: collecting.Collecting, edges: Sequence[Edge]) -> StoredOfRun:
     events = [edge.id for edge in edges if edge.time >= going.started]
 
-    def source() -> tuple[tuple[Recording, ...], tuple[Stored, ...]]:
+    def source() -> StoredOfRun:
         return collecting.stored(going.access, going.scenario, going.volumes, events)
 
-    nothing: tuple[tuple[Recording, ...], tuple[Stored, ...]] = ((), ())
-    stored: tuple[tuple[Recording, ...], tuple[Stored, ...]] = reading.read(
-        "recordings", source, nothing, "recordings", "stored"
-    )
+    nothing: StoredOfRun = ((), (), ())
+    stored: StoredOfRun = reading.read("recordings", source, nothing, "recordings", "stored", "gaps")
     return stored
 
 
@@ -425,7 +441,7 @@ def _summaries(going: Run, released: Sequence[ReleasedChart]) -> dict[str, str]:
 def show(going: Run, done: report.Report, reports: Path) -> None:
     """Prints timeline, table, files and the commands of inspection."""
     files = report.write(done, reports / going.scenario.name, page(done))
-    print("\n".join(timeline.lines(done.inputs, done.moments)), flush=True)
+    print("\n".join([*timeline.lines(done.inputs, done.moments), *cables.lines(done.inputs.cables)]), flush=True)
     print()
     for row in done.table:
         print(f"{'ok  ' if row.passed else 'FAIL'} {row.name:<40} {row.expected:>8}  measured {value(row.measured)}")

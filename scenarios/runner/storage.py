@@ -18,7 +18,7 @@ from mcap.stream_reader import StreamReader
 
 from robotkube.robots.ros.core.common_messages import pose_position
 from scenarios.generator.messages import stamp_of
-from scenarios.runner.inputs import LedgerLine, Recording, Stored
+from scenarios.runner.inputs import AuditGap, LedgerLine, Recording, Stored
 
 Document = Mapping[str, Any]
 FindSegment = Callable[[str, str], Path | None]
@@ -35,6 +35,17 @@ def recording(document: Document) -> Recording:
 def stored(samples: Iterable[Document], index: Iterable[Document], find_segment: FindSegment) -> tuple[Stored, ...]:
     """All messages of the documents. `find_segment` gives the file of a volume and a relative path, None when away."""
     return (*_samples(samples), *_segments(list(index), find_segment))
+
+
+def gaps(audits: Iterable[Document]) -> tuple[AuditGap, ...]:
+    """What the documents of `audits` name as missing; what two writers were told by the same bridge, once."""
+    found = (
+        AuditGap(str(audit["recording"]), str(audit["topic"]), one["where"], one["why"], one["count"], one["first"],
+                 one["last"])
+        for audit in audits
+        for one in audit["gaps"]
+    )  # fmt: skip
+    return tuple(dict.fromkeys(found))
 
 
 def ledger(lines: Iterable[Mapping[str, Any]]) -> tuple[LedgerLine, ...]:

@@ -36,6 +36,19 @@ def test_link_names_fit_the_kernels_bound(name: str) -> None:
     assert len(plan_of(name).link(NODES_MAX - 1)) <= 15
 
 
+@pytest.mark.parametrize("name", sorted(PLANS))
+def test_a_node_is_known_by_its_address(name: str) -> None:
+    plan = plan_of(name)
+    assert [plan.index(str(plan.node(index))) for index in range(NODES_MAX)] == [*range(NODES_MAX)]
+
+
+def test_bridges_have_addresses_of_their_own() -> None:
+    """Locally administered, of one machine: the first byte's two lowest bits are 1 and 0."""
+    addresses = {plan.hardware_address for plan in PLANS.values()}
+    assert len(addresses) == len(PLANS)
+    assert all(int(address[:2], 16) & 3 == 2 for address in addresses)
+
+
 def test_unknown_cluster_and_node_are_refused() -> None:
     with pytest.raises(InputError, match="choose one of demo, test"):
         plan_of("other")

@@ -66,7 +66,7 @@ def _count(count: Any) -> dict[str, Any]:
 def going(run: Any, monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """A run that has ended well; recordings and ledgers are those of the healthy run."""
     done, known = run.judge().inputs, run.known
-    monkeypatch.setattr(collecting, "stored", lambda *_: (done.recordings, done.stored))
+    monkeypatch.setattr(collecting, "stored", lambda *_: (done.recordings, done.stored, done.gaps))
     monkeypatch.setattr(collecting, "ledgers", lambda *_: done.ledgers)
     monkeypatch.setattr(running.evidence, "released", lambda _: known.released)
     monkeypatch.setattr(running, "_summaries", lambda going, _: going.catalogue.fetch() or known.summaries)
@@ -92,6 +92,7 @@ def going(run: Any, monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         pods=SimpleNamespace(stop=lambda: None, pods=lambda: known.pods, labels={}),
         tasks=SimpleNamespace(stop=lambda: None, lives=lambda: known.tasks),
         actor=SimpleNamespace(done=[]),
+        cables=SimpleNamespace(begin=lambda: None, finish=lambda: known.cables, warnings=[]),
         set_up_seconds={},
         started=known.started,
         ended=known.ended,
@@ -131,6 +132,7 @@ def test_a_run_that_went_well_is_collected_whole(going: SimpleNamespace) -> None
         ("observer", "stop", "observer of the broker", {"point_clouds_at_broker_before_event"}),
         ("sampler", "stop", "CPU time", set()),
         ("sampler", "cores", "CPU time by second", set()),
+        ("cables", "finish", "network", set()),
         ("pods", "stop", "watch of the pods", {"stop_to_removed_seconds"}),
         ("pods", "pods", "pods", {"stop_to_removed_seconds"}),
         ("tasks", "lives", "tasks", set()),

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from scenarios import definition
-from scenarios.generator import routes
+from scenarios.generator import coverage, routes
 from tests.stages.paths import SCENARIOS
 
 FOLDER = SCENARIOS / "pose-point-cloud-db-recording"
@@ -48,7 +48,8 @@ def test_bad_overrides_are_refused(override: str, message: str) -> None:
 
 def test_an_unknown_variant_is_refused() -> None:
     with pytest.raises(
-        definition.ScenarioError, match=r"variants: there is no variant 'tiny'; there is: manager-killed, small"
+        definition.ScenarioError,
+        match=r"variants: there is no variant 'tiny'; there is: hole-in-coverage, manager-killed, ",
     ):
         definition.load(FOLDER, variant="tiny")
 
@@ -162,3 +163,115 @@ def test_bounds(bound: tuple[str, float], inside: float, outside: float) -> None
     assert limit.holds(inside)
     assert not limit.holds(outside)
     assert not limit.holds(None)
+
+
+ROLE = {"role": "vehicle", "up_mbit": 20}
+
+
+@pytest.mark.parametrize(
+    ("network", "message"),
+    [
+        (
+            [{"role": "vehicle", "upMbit": 20}],
+            r"network\.0: .*'upMbit' was unexpected.*the keys agent, down_mbit, holes",
+        ),
+        ([{"role": "vehicle", "up_mbit": 0}], r"network\.0\.up_mbit: 0 is less than the minimum of 0\.1"),
+        ([{"up_mbit": 20}], r"network\.0: must name either a role or an agent"),
+        (
+            [{"role": "vehicle", "agent": "vehicle-00", "up_mbit": 20}],
+            r"network\.0: must name either a role or an agent",
+        ),
+        ([{"role": "platform", "up_mbit": 20}], r"network\.0\.role: 'platform' is not one of"),
+        (
+            [{"role": "edge", "up_mbit": 20}],
+            r"network\.0\.role: 'edge' is no role of the topology.*there is: cloud, veh",
+        ),
+        (
+            [{"agent": "vehicle-99", "up_mbit": 20}],
+            r"network\.0\.agent: 'vehicle-99' is no agent.*there is: cloud-0, v",
+        ),
+        ([{"agent": "platform-0", "up_mbit": 20}], r"network\.0\.agent: 'platform-0' is no agent"),
+        ([ROLE, ROLE], r"network\.1\.role: vehicle has an entry already; make one of both"),
+        (
+            [{"role": "vehicle"}],
+            r"network\.0: says nothing about the cable; give one of up_mbit, down_mbit, round_trip",
+        ),
+        (
+            [{"role": "vehicle", "round_trip_ms": 10, "jitter_ms": 15}],
+            r"jitter_ms: 15 must be at most round_trip_ms \(10\)",
+        ),
+        ([{"role": "vehicle", "loss_percent": 60}], r"loss_percent: 60 is greater than the maximum of 50"),
+        ([{**ROLE, "holes": [{"at_seconds": 5}]}], r"network\.0\.holes\.0: 'seconds' is a required property"),
+        ([{**ROLE, "holes": [{"x_m": 5, "y_m": 0}]}], r"network\.0\.holes\.0: 'radius_m' is a required property"),
+        ([{**ROLE, "holes": [{"at_seconds": 5, "seconds": 1, "radius_m": 5}]}], r"'radius_m' was unexpected"),
+    ],
+)
+def test_links_that_mean_nothing_are_refused(tmp_path: Path, network: list[dict[str, Any]], message: str) -> None:
+    with pytest.raises(definition.ScenarioError, match=message):
+        definition.load(changed(tmp_path, network=network))
+
+
+def test_an_agents_own_link_stands_in_place_of_its_roles(tmp_path: Path) -> None:
+    own = {"agent": "vehicle-01", "round_trip_ms": 80}
+    network = definition.load(changed(tmp_path, network=[ROLE, own]), ["vehicles=3"]).network
+    assert {agent: cable.asked for agent, cable in network.items()} == {
+        "vehicle-00": {"up_mbit": 20},
+        "vehicle-01": {"round_trip_ms": 80},
+        "vehicle-02": {"up_mbit": 20},
+    }
+
+
+def test_a_variant_has_a_network_of_its_own(tmp_path: Path) -> None:
+    assert definition.load(FOLDER).network == {}
+    assert [*definition.load(FOLDER, variant="mobile-network").network] == ["vehicle-00", "vehicle-01", "vehicle-02"]
+    assert [*definition.load(FOLDER, variant="hole-in-coverage").network] == ["vehicle-00"]
+
+
+@pytest.mark.parametrize("variant", ["mobile-network", "narrow-uplink", "hole-in-coverage"])
+def test_variants_with_a_network_say_what_they_must_show(variant: str) -> None:
+    scenario = definition.load(FOLDER, variant=variant)
+    bounds = {name: str(scenario.expectations[name]) for name in ("network_as_asked", "poses_lost", "lost")}
+    everything = variant == "mobile-network"
+    assert bounds == {"network_as_asked": "= true", "poses_lost": "= 0", "lost": "= 0" if everything else ">= 1"}
+    assert everything or str(scenario.expectations["missing_unnamed"]) == "= 0"
+
+
+def test_holes_by_place_follow_from_the_routes(tmp_path: Path) -> None:
+    """The pair meets in the middle of the road, at 4 m from it on either side: 5 s of lead-in, 200 m at 20 m/s."""
+    place = {"x_m": 0, "y_m": 0, "radius_m": 50}
+    network = [
+        {"role": "vehicle", "holes": [place]},
+        {"agent": "vehicle-01", "holes": [{"at_seconds": 1, "seconds": 2}]},
+    ]
+    scenario = definition.load(changed(tmp_path, network=network), ["vehicles=3", "encounters=1"])
+    first, second = coverage.coverage_holes(scenario)
+    assert (first.agent, first.at_seconds, first.seconds) == ("vehicle-01", 1, 2)
+    assert second.agent == "vehicle-00"
+    assert second.at_seconds == pytest.approx(15 - 2.5, abs=0.1)
+    assert second.seconds == pytest.approx(5, abs=0.1)
+
+
+def test_holes_that_overlap_are_one(tmp_path: Path) -> None:
+    holes = [{"at_seconds": 4, "seconds": 3}, {"at_seconds": 1, "seconds": 4}, {"at_seconds": 9, "seconds": 1}]
+    scenario = definition.load(changed(tmp_path, network=[{"agent": "vehicle-00", "holes": holes}]))
+    assert [(hole.at_seconds, hole.seconds) for hole in coverage.coverage_holes(scenario)] == [(1, 6), (9, 1)]
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        (
+            {"role": "vehicle", "holes": [{"at_seconds": 500, "seconds": 5}]},
+            r"the hole of vehicle-00 at 500 s .* ends after",
+        ),
+        (
+            {"role": "vehicle", "holes": [{"x_m": 9000, "y_m": 0, "radius_m": 5}]},
+            r"nobody who has a hole there comes within",
+        ),
+        ({"role": "cloud", "holes": [{"x_m": 0, "y_m": 0, "radius_m": 5}]}, r"cloud-0 does not drive"),
+    ],
+)
+def test_holes_that_no_run_would_show_are_refused(tmp_path: Path, entry: dict[str, Any], message: str) -> None:
+    scenario = definition.load(changed(tmp_path, network=[entry]))
+    with pytest.raises(definition.ScenarioError, match=message):
+        coverage.coverage_holes(scenario)

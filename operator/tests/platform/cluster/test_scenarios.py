@@ -23,10 +23,15 @@ STORIES = (
     ("intersection-support", ()),
     ("resource-conflict", ()),
     ("pose-point-cloud-db-recording", ("--variant", "manager-killed")),
+    ("pose-point-cloud-db-recording", ("--variant", "mobile-network")),
+    ("pose-point-cloud-db-recording", ("--variant", "narrow-uplink")),
+    ("pose-point-cloud-db-recording", ("--variant", "hole-in-coverage")),
 )
 
 
-@pytest.mark.parametrize(("name", "options"), STORIES, ids=[name for name, _ in STORIES])
+@pytest.mark.parametrize(
+    ("name", "options"), STORIES, ids=[" ".join((name, *options[1:])) for name, options in STORIES]
+)
 def test_a_scenario_passes_from_nothing(no_demo: None, tmp_path: Path, name: str, options: tuple[str, ...]) -> None:
     Embedded(NAME, Path()).down()
     talk = tmp_path / "talk"

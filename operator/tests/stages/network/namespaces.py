@@ -1,35 +1,18 @@
-"""Sockets in another network namespace: a thread enters it, opens them, and ends there; they stay."""
+"""What can be reached from another network namespace."""
 
 from __future__ import annotations
 
-import ctypes
 import errno
 import selectors
 import socket
 import time
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable
 from pathlib import Path
-from typing import TypeVar
 
-CLONE_NEWNET = 0x40000000
+from ci.cluster.namespaces import inside
+
 LOOK_SECONDS = 0.2
 REFUSED = (0, errno.ECONNREFUSED)  # somebody is there, and the packet came to him
-T = TypeVar("T")
-_libc = ctypes.CDLL(None, use_errno=True)
-
-
-def inside(namespace: Path, made: Callable[[], T]) -> T:
-    """What `made` returns, called in a network namespace: a socket that it makes stays there."""
-
-    def entered() -> T:
-        with namespace.open("rb") as place:
-            if _libc.setns(place.fileno(), CLONE_NEWNET):
-                raise OSError(ctypes.get_errno(), f"{namespace} cannot be entered")
-            return made()
-
-    with ThreadPoolExecutor(1) as thread:
-        return thread.submit(entered).result()
 
 
 def begun(address: str, port: int) -> socket.socket:

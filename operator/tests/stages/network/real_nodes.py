@@ -15,11 +15,11 @@ from pathlib import Path
 from typing import TypeVar
 
 from ci.cluster import network_policies
+from ci.cluster.namespaces import inside
 from ci.cluster.network import run, run_inside
 from ci.cluster.network_rules import AttachedPod, Rulebook
 from ci.cluster.processes import Process, start_ticks
 from robotkube.foundation.kubernetes.core.network_policies import NetworkPolicy
-from tests.stages.network.namespaces import inside
 from tests.stages.network.nft_meaning import PlacedPod
 from tests.stages.waiting import until
 
