@@ -100,7 +100,8 @@ parts = st.sampled_from(["a", "b"])
     st.lists(parts, min_size=1, max_size=4),
 )
 def test_a_consent_covers_what_it_is_with_any_agent_put_in(consented: list[str], topic: list[str]) -> None:
-    fits = len(consented) == len(topic) and all(one in ("{agent}", part) for one, part in zip(consented, topic, strict=False))
+    pairs = list(zip(consented, topic, strict=False))
+    fits = len(consented) == len(topic) and all(one in ("{agent}", part) for one, part in pairs)
     assert covers("/".join(consented), "/".join(topic)) is fits
 
 

@@ -10,17 +10,22 @@ from typing import Any
 import pytest
 
 from robotkube.delivery.deployment.core.policies.links import path_of
+from robotkube.delivery.gate.core.proposal_checks import Proposer
+from robotkube.delivery.gate.loops.rules import GateRules, GateSettings
 from robotkube.delivery.manager.core.placement.placement import Agent, NodeState
 from robotkube.delivery.manager.core.placement.scopes import DeclaredManager, Operators, Scope
 from robotkube.delivery.manager.loops.reconciler import DEPLOYMENT
+from robotkube.foundation.documents.adapters.json_schema import validate
 from robotkube.foundation.forge.core.resync import RESYNC_SECONDS
+from robotkube.foundation.forge.ports.repositories import Commit
+from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue
 from robotkube.testing.clusters import MemoryTasks
-from tests.stages.delivery.manager_in_memory import Stage
+from tests.stages.delivery.manager_in_memory import CHARTS, Stage
 
 SOUTH = frozenset({"vehicle-00", "vehicle-01", "cloud-0"})
 NORTH = frozenset({"vehicle-02", "cloud-1"})
 MANAGERS = (DeclaredManager("south", Scope(SOUTH, SOUTH)), DeclaredManager("north", Scope(NORTH, NORTH)))
-TOPICS = "['/vehicles/{agent}/pose', '/vehicles/{agent}/lidar_center/pointcloud', '/vehicles/{agent}/lidar_center/transform']"
+TOPICS = [f"/vehicles/{{agent}}/{name}" for name in ("pose", "lidar_center/pointcloud", "lidar_center/transform")]
 SENDS = {path_of("south"): f"sends: [{{to: north, topics: {TOPICS}}}]\n"}
 RECEIVES = {path_of("north"): f"receives: [{{from: south, topics: {TOPICS}}}]\n"}
 POSE = "/vehicles/vehicle_00/pose"
@@ -41,11 +46,9 @@ class Neighbours:
 
     def __init__(self, folder: Path) -> None:
         self.south = Stage(folder / "south")
-        for name, role, capabilities in (("cloud-1", "cloud", frozenset({"recording"})),):
-            self.south.settings = replace(
-                self.south.settings, agents=(*self.south.settings.agents, Agent(name, role, name))
-            )
-            self.south.cluster.machines.append(NodeState(name, name, role, capabilities, True))
+        agents = (*self.south.settings.agents, Agent("cloud-1", "cloud", "cloud-1"))
+        self.south.settings = replace(self.south.settings, agents=agents)
+        self.south.cluster.machines.append(NodeState("cloud-1", "cloud-1", "cloud", frozenset({"recording"}), True))
         self.north = Stage(folder / "north")
         for part in ("settings", "verifier", "catalogue", "cluster", "repository", "forge"):
             setattr(self.north, part, getattr(self.south, part))
@@ -133,3 +136,28 @@ def test_a_consent_that_is_withdrawn_ends_the_link(neighbours: Neighbours, scope
     assert neighbours.topics("vehicle-00", "out") == before
     neighbours.people({**SENDS, **RECEIVES})
     assert neighbours.accepted()[0] == "True", "and with the consent it comes back"
+
+
+def test_the_gate_reads_consents_from_main(neighbours: Neighbours) -> None:
+    """Who may touch what is in its settings, what may pass between them on main alone."""
+    north = neighbours.north
+    proposers = tuple(Proposer(manager.name, manager.scope.agents) for manager in MANAGERS)
+    settings = GateSettings("gate", "robotkube/deployment", "robotkube/catalogue", proposers, CHARTS)
+    catalogue = AssuredCatalogue(north.catalogue, north.verifier)
+    rules = GateRules(settings, north.repository, catalogue, validate, lambda *_: ())
+    neighbours.people({**SENDS, **RECEIVES})
+    neighbours.ask()
+    path = "releases/cloud-1/mqtt-bridge.yaml"
+    text = north.repository.files(north.repository.tip, ("releases",))[path] + "# edited\n"
+
+    def problems() -> str:
+        tip = north.repository.tip
+        commit = Commit("c" * 40, (tip,), "Edit\n", "operator-team", {path: text})
+        return "\n".join(rules.judge("operator-team", rules.proposal(commit)).problems)
+
+    assert problems() == ""
+    north.repository.push({path_of("north"): None}, "policy(links): no more")
+    assert f"topic {POSE} is said by vehicle-00 of scope south" in problems()
+    assert f"main lacks {path_of('north')} receives: " in problems()
+    north.repository.push({path_of("north"): "receives: 7"}, "policy(links): broken")
+    assert f"main lacks {path_of('north')} receives: " in problems()
