@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robotkube.delivery.deployment.core.borders import Borders
 from robotkube.delivery.deployment.core.policies.links import path_of
 from robotkube.delivery.deployment.core.policies.revoked import PATH as REVOKED_PATH
 from robotkube.delivery.deployment.core.policies.revoked import write_revoked
@@ -26,7 +27,7 @@ from robotkube.delivery.rights.core.control import (
     wanted_roles,
 )
 from robotkube.delivery.rights.core.differences import access_changes, foreign_changes, missing, role_changes
-from robotkube.delivery.rights.core.grants import MainTable, granted, main_table
+from robotkube.delivery.rights.core.grants import MainTable, granted, main_table, rights_of
 from robotkube.robots.bridge.core.rights import IN, OUT, may, may_anybody
 from robotkube.robots.bridge.core.settings import GATEWAY_TOPICS
 from tests.stages.delivery.main_of_links import POSE_00, POSE_01, bridge, release, texts
@@ -149,7 +150,7 @@ def test_whatever_anybody_deploys_gives_nothing_of_the_platform(incoming: Any, t
     deployed = release("vehicle-00", "any", {"bridge": {"in": incoming}, "detector": {"topics": topics}})
     for grant in granted(deployed, ACCOUNTS).grants:
         assert grant.agent == "vehicle-00"
-        for right in grant.rights:
+        for right in rights_of(grant, Borders()):
             assert right.direction == READ
             assert not right.topic.startswith(("$", "#", "+", "robotkube/task", "robotkube/holds"))
             assert "#" not in right.topic
@@ -342,3 +343,23 @@ def test_a_withdrawn_consent_ends_a_right_that_a_broken_release_keeps() -> None:
     broken = {**CONSENTS, path_of("south"): "sends: 7"}
     still = main_table("d" * 40, read_tree(files), SPLIT, before, broken)
     assert heard_by("cloud-0", still) == {f"mqtt{POSE_00}"}, "a consent that cannot be read is not withdrawn"
+
+
+FOREIGN = ("mqtt/vehicles/vehicle_01/pose", "mqtt/vehicles/vehicle_01", "mqtt/agents/cloud_0/plan")
+levels = st.lists(st.sampled_from(["mqtt", "vehicles", "agents", "vehicle_01", "{agent}", "pose"]), max_size=5)
+odd_names = levels.map(lambda parts: "/" + "/".join(parts))
+odd_items = st.fixed_dictionaries({"name": odd_names}, optional={"mqtt_topic": odd_names.map(lambda name: name[1:])})
+
+
+def matches(topic_filter: str, topic: str) -> bool:
+    """Whether a filter without `#` stands for the topic."""
+    mine, parts = topic_filter.split("/"), topic.split("/")
+    return len(mine) == len(parts) and all(one in ("+", part) for one, part in zip(mine, parts, strict=True))
+
+
+@given(st.lists(odd_items, max_size=4))
+def test_whatever_anybody_deploys_hears_nothing_over_a_border_without_consent(incoming: Any) -> None:
+    deployed = release("vehicle-00", "any", {"bridge": {"in": incoming}})
+    main = main_table("c" * 40, read_tree(texts(deployed)), SPLIT, None, {})
+    heard = heard_by("vehicle-00", main)
+    assert not [(one, topic) for one in heard for topic in FOREIGN if matches(one, topic)]

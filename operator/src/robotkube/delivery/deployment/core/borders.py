@@ -27,7 +27,7 @@ def said_as(topic_filter: str) -> str:
 def speaker(topic: str) -> str:
     """The agent that says a topic, `{agent}` for any; empty when no agent does."""
     parts = topic.split("/")
-    return agent_name(parts[2]) if len(parts) > 3 and not parts[0] and parts[1] in (*SPEAKERS, AGENT) else ""
+    return agent_name(parts[2]) if len(parts) > 2 and not parts[0] and parts[1] in (*SPEAKERS, AGENT) else ""
 
 
 @dataclass(frozen=True)

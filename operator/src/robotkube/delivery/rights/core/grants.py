@@ -56,18 +56,30 @@ def granted(release: Release, accounts: Accounts) -> Granted:
     return Granted(tuple(sorted(grants)), tuple(problems))
 
 
-def rights_of(grant: Grant, borders: Borders) -> Iterator[Right]:
-    """The rights at the broker of a grant: none where its topic may not go over the border, and of one that names any
-    agent those whose topic may. The filter that is subscribed to stays the same, so a bridge notices nothing."""
+def borders_of(accounts: Accounts, consents: LinkConsents) -> Borders:
+    """The borders between the scopes of the managers."""
+    return Borders(scopes_of((one.name, one.agents) for one in accounts.managers), consents)
+
+
+def topics_of(grant: Grant, borders: Borders) -> list[str]:
+    """The filters at the broker of what a grant gives to hear, without what says their types: nothing where its topic
+    may not go over a border, and of one that names any agent those whose topic may."""
     topic = said_as(grant.topic)
     if borders.missing(topic, grant.agent):
-        return
+        return []
     if not borders.scopes or speaker(topic) != AGENT:
-        yield from (Right(one, READ) for one in with_types(grant.topic))
-        return
-    yield from (Right(one, ASK) for one in with_types(grant.topic))
-    for named in borders.heard_of(topic, grant.agent):
-        yield from (Right(one, READ) for one in with_types(MQTT_PREFIX + named))
+        return [grant.topic]
+    return [MQTT_PREFIX + named for named in borders.heard_of(topic, grant.agent)]
+
+
+def rights_of(grant: Grant, borders: Borders) -> Iterator[Right]:
+    """The rights at the broker of a grant. The filter that is subscribed to is the grant's, so a bridge notices nothing
+    of consents that come and go."""
+    heard = topics_of(grant, borders)
+    for topic in heard:
+        yield from (Right(one, READ) for one in with_types(topic))
+    if heard and grant.topic not in heard:
+        yield from (Right(one, ASK) for one in with_types(grant.topic))
 
 
 @dataclass(frozen=True)
@@ -94,7 +106,7 @@ def main_table(
     kept = {path: known[path] for path in broken if path in known}
     every = {**{path: granted(release, accounts) for path, release in tree.releases.items()}, **kept}
     consents, unread = read_consents(policies, before.consents if before else LinkConsents())
-    borders = Borders(scopes_of((one.name, one.agents) for one in accounts.managers), consents)
+    borders = borders_of(accounts, consents)
     table = fixed_rights(accounts)
     for one in every.values():
         for grant in one.grants:
