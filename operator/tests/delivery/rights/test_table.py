@@ -106,6 +106,8 @@ def test_the_task_gateway_needs_no_grant_and_is_given_to_nobody_else() -> None:
         {"name": "/a", "mqtt_topic": "$share/g/mqtt/vehicles/vehicle_01/pose"},
         {"name": "/a", "mqtt_topic": "#"},
         {"name": "/a", "mqtt_topic": "mqtt/+/x"},
+        {"name": "/a", "mqtt_topic": "{agent}/tasks/vehicle-01"},
+        {"name": "/a", "mqtt_topic": "{agent}/vehicles/vehicle_01/pose"},
         {"name": "/a/#"},
         {"name": "/+"},
         {"name": "/{agent}/{agent}"},

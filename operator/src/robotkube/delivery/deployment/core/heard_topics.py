@@ -17,8 +17,8 @@ from robotkube.foundation.documents.core.patterns import MQTT_TOPIC, ROS_TOPIC_P
 from robotkube.robots.bridge.core.settings import GATEWAY_TOPICS, BridgedTopic
 from robotkube.robots.ros.core.topic_patterns import AGENT
 
-OF_THE_PLATFORM = ("robotkube/", "mqtt_client/")
-"""Beginnings of topics of which nobody is given one by itself: the task gateway, and what says types."""
+OF_NOBODY = ("robotkube/", "mqtt_client/", "+")
+"""Beginnings of filters of which nobody is given one by itself: the task gateway, what says types, and any of these."""
 
 
 @dataclass(frozen=True)
@@ -62,4 +62,4 @@ def _filter(item: Any) -> str:
     if other and not (isinstance(other, str) and MQTT_TOPIC.fullmatch(other)):
         return ""
     topic = BridgedTopic(name, "", mqtt_topic=other).filter
-    return "" if topic.startswith(OF_THE_PLATFORM) else topic
+    return "" if topic.startswith(OF_NOBODY) else topic
