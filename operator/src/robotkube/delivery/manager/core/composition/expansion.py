@@ -233,7 +233,7 @@ class _Expander:
         values = render_templates(service.values, {**scope, "chart": its_chart}, self._render)
         release = make_release(agent, name, chart, values, self._index, movable)
         for heard in heard_topics(values):
-            self._lookup(("heard", said_as(heard.filter), agent.name), f"service {service.name}")
+            self._hears(agent, said_as(heard.filter), f"service {service.name}")
         key = release.key
         if key in expansion.releases:
             raise RefusalError("CompositionFailed", f"two services of {expansion.application} make the release {key}")
@@ -244,6 +244,11 @@ class _Expander:
             topics = published_topics(chart, self._deployed(chart, release), self._render)
             self._publish(agent.place, topics, key)
         return release
+
+    def _hears(self, agent: Agent, topic: str, part: str) -> None:
+        """Note that an agent hears a topic, for a part of the application; RefusalError where it may not."""
+        if self._index.fleet.has_borders:
+            self._lookup(("heard", topic, agent.name), part)
 
     def _publish(self, place: str, topics: Iterable[str], publisher: Publisher) -> None:
         """Note what is published on a place; RefusalError when the application has two publishers of a topic there."""
@@ -269,7 +274,7 @@ class _Expander:
 
         for passage in passages(link, names, placed, agents, self._render, path):
             if passage.target:
-                self._lookup(("heard", passage.topic["name"], passage.target.name), path)
+                self._hears(passage.target, passage.topic["name"], path)
             ends = [(end, way) for end, way in ((passage.source, OUT), (passage.target, IN)) if end]
             own = [(end, way) for end, way in ends if self._index.fleet.answers_for(end)]
             if not own:  # nothing of it would be written here

@@ -206,6 +206,11 @@ class Fleet:
         """Whether releases on the agent belong here."""
         return True
 
+    @property
+    def has_borders(self) -> bool:
+        """Whether there are topics that not every agent may hear."""
+        return False
+
     def check_heard(self, topic: str, listener: str) -> None:
         """Check that an agent may hear a topic; RefusalError where it may not go over a border."""
 

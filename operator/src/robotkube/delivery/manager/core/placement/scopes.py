@@ -234,6 +234,11 @@ class ScopedFleet(Fleet):
         """As Fleet.answers_for."""
         return agent.name not in self.outside
 
+    @property
+    def has_borders(self) -> bool:
+        """As Fleet.has_borders."""
+        return bool(self.borders.scopes)
+
     def check_heard(self, topic: str, listener: str) -> None:
         """As Fleet.check_heard; RefusalError(LinkNotConsented) says which consent main lacks."""
         if obstacle := self.borders.obstacle(topic, listener):
