@@ -4,9 +4,9 @@ as JSON.
     ci/python -m tests.stages.delivery.rights_latency N
 
 A real forge, the process that keeps rights behind its webhook, and a real broker that speaks TLS. All times are from
-the beginning of the push that moves main. `announced`: until the forge's webhook has reached the process, which is the
-forge's own part. `applied`: until a message of the other vehicle arrives where the right was missing before. `ended`:
-until the last message that arrives after the link was withdrawn.
+the beginning of the push that moves main. `applied`: until a message of the other vehicle arrives where the right was
+missing before. `ended`: until the last message that arrives after the link was withdrawn. `announced`: until the
+forge's webhook has reached the process, which is the forge's part of each; `own`: the rest of it.
 """
 
 from __future__ import annotations
@@ -132,15 +132,15 @@ class Rounds:
 
     def __init__(self, gate: Clone, rights: AnnouncedRights, listener: Listener) -> None:
         self._gate, self._rights, self._listener = gate, rights, listener
-        self.milliseconds: dict[str, list[float]] = {"announced": [], "applied": [], "ended": []}
+        self.milliseconds: dict[str, list[float]] = {name: [] for name in ("applied", "ended", "announced", "own")}
 
     def run(self, count: int) -> dict[str, list[float]]:
         """So many of both, besides the first few, which do not count."""
         for _ in range(WARMING_UP + count):
             self._moved("applied", LINK, lambda _: self._listener.hears())
             self._moved("ended", dict.fromkeys(LINK), lambda gone: self._listener.last_heard(gone))
-        per = {"announced": 2, "applied": 1, "ended": 1}
-        return {name: values[-per[name] * count :] for name, values in self.milliseconds.items()}
+        rounds = WARMING_UP + count
+        return {name: values[len(values) * WARMING_UP // rounds :] for name, values in self.milliseconds.items()}
 
     def _moved(self, name: str, changes: Mapping[str, str | None], seen: Callable[[Callable[[], bool]], float]) -> None:
         """Main is moved by these changes; `seen` gives when that was to be seen, by whether the table is there."""
@@ -152,6 +152,7 @@ class Rounds:
         until(lambda: self._rights.applied(commit), "the table")
         self.milliseconds[name].append(1000 * (moment - began))
         self.milliseconds["announced"].append(1000 * (self._rights.announced - began))
+        self.milliseconds["own"].append(1000 * (moment - self._rights.announced))
 
 
 def measure(folder: Path, count: int) -> dict[str, list[float]]:
