@@ -11,6 +11,7 @@ from robotkube.delivery.deployment.core.policies.links import LinkConsents, path
 from robotkube.delivery.gate.core import proposal_checks
 from robotkube.delivery.gate.core.release_checks import Rules
 from tests.delivery.gate.test_proposal_checks import BRIDGE, PLAN, RULES, TIP, files, message, proposal
+from tests.stages.attacks import shown
 
 POSE = "/vehicles/vehicle_07/pose"
 SCOPES = scopes_of([("manager", ["cloud-0", "vehicle-00"]), ("other", ["edge-0", "vehicle-07"])])
@@ -38,6 +39,7 @@ def test_what_another_scope_says_is_heard_with_the_consent_of_both() -> None:
         [problem] = proposal_checks.judge(found, TIP, with_consents(*scopes)).problems
         assert problem.startswith(f"releases/cloud-0/bridge.yaml: spec.values.bridge.in[0]: topic {POSE} is said by ")
         assert f"needs the consent of both, and main lacks {path_of(lacking)} " in problem
+        shown("gate", problem, "heard-over-a-border")
     person = proposal_checks.judge_person(found, with_consents("manager"))
     assert "needs the consent of both" in "\n".join(person.problems)
 

@@ -20,6 +20,7 @@ from robotkube.foundation.forge.core.resync import RESYNC_SECONDS
 from robotkube.foundation.forge.ports.repositories import Commit
 from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue
 from robotkube.testing.clusters import MemoryTasks
+from tests.stages.attacks import shown
 from tests.stages.delivery.manager_in_memory import CHARTS, Stage
 
 SOUTH = frozenset({"vehicle-00", "vehicle-01", "cloud-0"})
@@ -97,8 +98,8 @@ def test_a_link_over_a_border_is_refused_without_the_consent_of_both(neighbours:
     neighbours.ask()
     assert neighbours.accepted() == ("False", "LinkNotConsented")
     said = neighbours.message()
-    assert "vehicle-00 of scope south" in said
-    assert "cloud-1 is of scope north: a link over this border needs the consent of both" in said
+    shown("selection", said, "heard-over-a-border")
+    assert "vehicle-00 of scope south, and cloud-1 is of scope north" in said
     assert f"{path_of('south')} sends: " in said
     assert f"{path_of('north')} receives: " in said
     neighbours.people(SENDS)

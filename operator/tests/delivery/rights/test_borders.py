@@ -10,6 +10,7 @@ import pytest
 
 from robotkube.delivery.deployment.core.policies.links import path_of
 from robotkube.delivery.rights.core.accounts import ManagerAccount
+from tests.stages.attacks import shown
 from tests.stages.delivery.kept_rights import KeptRights
 from tests.stages.delivery.main_of_links import POSE_00, POSE_01, bridge
 from tests.stages.delivery.mqtt_connection import ANSWER_SECONDS_MAX, NOT_AUTHORISED
@@ -64,6 +65,8 @@ def test_a_link_that_only_one_scope_wants_is_no_right(rights: KeptRights) -> Non
     listener = rights.connect("cloud-0")
     for scope in ("south", "north"):
         rights.merge(bridge("cloud-0", POSE_00), policies={path_of(scope): CONSENTS[path_of(scope)]})
-        assert listener.subscribe(FOREIGN) == NOT_AUTHORISED
+        refused = listener.subscribe(FOREIGN)
+        assert refused == NOT_AUTHORISED
+        shown("elsewhere", f"the subscription: reason {refused:#x} of MQTT 5", "heard-over-a-border")
     rights.merge(bridge("cloud-0", POSE_00), policies=CONSENTS)
     assert listener.subscribe(FOREIGN) == 1
