@@ -121,7 +121,8 @@ class Running:
         """A task asks for a recording of these vehicles."""
         event = {"rule": "near", "id": f"e{number}", "trace": f"{number:032x}", "time": "2026-11-21T10:00:00Z"}
         spec = {"requester": self.name, "event": event, "application": "pose-point-cloud-recording"}
-        self.tasks.create(*key.split("/", 1), {**spec, "parameters": {"vehicles": list(vehicles)}})
+        namespace, _, task = key.partition("/")
+        self.tasks.create(namespace, task, {**spec, "parameters": {"vehicles": list(vehicles)}})
         self.manager.wake(TASKS)
 
     def committed(self, key: str) -> bool:

@@ -276,7 +276,7 @@ class _Expander:
             if passage.target:
                 self._hears(passage.target, passage.topic["name"], path)
             ends = [(end, way) for end, way in ((passage.source, OUT), (passage.target, IN)) if end]
-            own = [(end, way) for end, way in ends if self._index.fleet.answers_for(end)]
+            own = [(end, way) for end, way in ends if end.name in self._index.fleet.agents]
             if not own:  # nothing of it would be written here
                 self._lookup(("agent", ends[0][0].name), path)
             for end, direction in own:

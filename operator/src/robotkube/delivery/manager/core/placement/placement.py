@@ -202,10 +202,6 @@ class Fleet:
         """The agent at an end of a link, where it is named: one that others answer for, too."""
         return self.agent(name)
 
-    def answers_for(self, agent: Agent) -> bool:
-        """Whether releases on the agent belong here."""
-        return True
-
     @property
     def has_borders(self) -> bool:
         """Whether there are topics that not every agent may hear."""

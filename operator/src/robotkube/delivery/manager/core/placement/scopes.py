@@ -230,10 +230,6 @@ class ScopedFleet(Fleet):
         known = isinstance(name, str) and name in self.outside and name in self.borders.scopes
         return self.outside[str(name)] if known else self.agent(name)
 
-    def answers_for(self, agent: Agent) -> bool:
-        """As Fleet.answers_for."""
-        return agent.name not in self.outside
-
     @property
     def has_borders(self) -> bool:
         """As Fleet.has_borders."""
