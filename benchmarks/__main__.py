@@ -4,9 +4,9 @@
 
 Prints a table and writes build/reports/benchmarks.json; what registry and gate cost in seconds goes to
 build/bench/registry.json, what the manager costs to build/bench/application-manager.json, what event detector and
-bridge cost to build/bench/event-detector.json, what admission adds to build/bench/admission.json. Exit code 1 when a
-ratio is beyond its bound. What a benchmark needs (tool chain; images, for those on a cluster) is made before its time
-begins, and cached.
+bridge cost to build/bench/event-detector.json, what admission adds to build/bench/admission.json, what links and their
+rights take to build/bench/links.json. Exit code 1 when a ratio is beyond its bound. What a benchmark needs (tool chain;
+images, for those on a cluster) is made before its time begins, and cached.
 """
 
 from __future__ import annotations
@@ -29,10 +29,12 @@ from benchmarks import (
     event_detector,
     files,
     gate,
+    links,
     narrow_uplink,
     planning,
     publication,
     registry,
+    rights,
 )
 from benchmarks.measuring import Comparison
 from ci import preparing
@@ -47,6 +49,8 @@ BENCHMARKS: dict[str, Callable[[], list[Comparison]]] = {
     "encryption": encryption.compare,
     "event-detector": event_detector.compare,
     "narrow-uplink": narrow_uplink.compare,
+    "links": links.compare,
+    "rights": rights.compare,
     "registry": registry.compare,
     "gate": gate.compare,
     "admission": admission.compare,

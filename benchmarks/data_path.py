@@ -48,11 +48,13 @@ class DataPath:
         self.hashes = False
         self.nodes = pods.Nodes()
         self.api = ApiServerInMemory("0.0.0.0")  # noqa: S104 - pods reach it at their node's gateway
-        rules = {agent: pods.vehicle_rules(agent) for agent in self.agents}
-        accounts = {**rules, "cloud-0": pods.CLOUD_RULES}
-        self.broker = pods.Broker(folder / "broker", accounts, encrypted=self.encrypted)
+        self.broker = pods.Broker(folder / "broker", self._accounts(), encrypted=self.encrypted)
         self.pods: list[pods.Pod] = []
         self.players: dict[str, str] = {}  # agent -> address
+
+    def _accounts(self) -> dict[str, list[str]]:
+        """The broker's accounts, with the lines of their ACL."""
+        return {**{agent: pods.vehicle_rules(agent) for agent in self.agents}, "cloud-0": pods.CLOUD_RULES}
 
     def close(self) -> None:
         """End everything."""

@@ -40,6 +40,26 @@ AT_THE_BROKER = (
         ),
     ),
     Attack(
+        "heard-over-a-border",
+        "A link lets an agent hear what agents of another manager's scope say, which has not consented",
+        Refused(
+            "topic … is said by … of scope …: a link over this border needs the consent of both, and main lacks …",
+            "delivery/manager/test_links_across_scopes.py::"
+            "test_a_link_over_a_border_is_refused_without_the_consent_of_both",
+        ),
+        Refused(
+            "spec.values.…: topic … is said by … of scope …: a link over this border needs the consent of both",
+            "delivery/gate/test_link_consents.py::test_what_another_scope_says_is_heard_with_the_consent_of_both",
+        ),
+        NOTHING_TO_JUDGE,
+        SAID_OR_HEARD,
+        Refused(
+            "the subscription: reason 0x87 of MQTT 5",
+            "delivery/rights/test_borders.py::test_a_link_that_only_one_scope_wants_is_no_right",
+            "the broker",
+        ),
+    ),
+    Attack(
         "session-taken-over",
         "Who has one agent's account connects with the client id of another agent's bridge, to end its connection and "
         "get what waits in its session",

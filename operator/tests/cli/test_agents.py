@@ -4,6 +4,8 @@ commit that gave it."""
 from __future__ import annotations
 
 import json
+from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +13,15 @@ import pygit2
 import pytest
 import yaml
 
+from robotkube.cli.agents import rights
 from robotkube.cli.agents.accounts import rows
 from robotkube.cli.main import main
 from robotkube.cli.platform import AGENT_LABEL
+from robotkube.delivery.deployment.core.policies.links import path_of
 from robotkube.delivery.deployment.core.policies.revoked import PATH as REVOKED_PATH
 from robotkube.delivery.deployment.core.policies.revoked import write_revoked
 from robotkube.delivery.deployment.core.releases import Release
+from robotkube.delivery.rights.core.accounts import ManagerAccount
 from robotkube.delivery.rights.core.origins import revocations
 from robotkube.foundation.forge.adapters.git import GitHistory
 from tests.stages.delivery.main_of_links import POSE_00, POSE_01, bridge, texts
@@ -142,6 +147,31 @@ def test_a_revoked_agent_has_no_rights(repository: Repository, capsys: pytest.Ca
     assert shown(repository, capsys, "vehicle-00", "vehicle") == []
     assert main(["agent", "rights", "vehicle-00", "--role", "vehicle", "--clone", str(repository.folder)]) == 0
     assert capsys.readouterr().out.startswith("vehicle-00 is revoked by commit ")
+
+
+def test_what_is_heard_of_another_scope_is_by_consent_of_both(
+    repository: Repository, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The platform's settings say whose the agents are; here without a cluster."""
+    scopes = (ManagerAccount("south", ("vehicle-00", "roadside-0")), ManagerAccount("north", ("vehicle-01", "cloud-0")))
+    monkeypatch.setattr(rights, "Platform", lambda _: None)
+    monkeypatch.setattr(rights, "declared", lambda _: replace(ACCOUNTS, managers=scopes))
+    monkeypatch.setattr(rights, "history", lambda _: nullcontext(GitHistory(repository.folder)))
+
+    def heard() -> set[str]:
+        assert main(["agent", "rights", "cloud-0", "-o", "json"]) == 0
+        return {row["topic"] for row in json.loads(capsys.readouterr().out)["rights"] if row["commit"]}
+
+    poses = bridge("cloud-0", "/vehicles/{agent}/pose", POSE_00)
+    own = {"mqtt/vehicles/vehicle_01/pose", "mqtt/vehicles/cloud_0/pose"}
+    repository.merge("begin", poses)
+    assert heard() == own
+    consents = {
+        path_of("south"): f"sends: [{{to: north, topics: [{POSE_00}]}}]\n",
+        path_of("north"): f"receives: [{{from: south, topics: [{POSE_00}]}}]\n",
+    }
+    repository.merge("agreed", poses, **consents)
+    assert heard() == {*own, f"mqtt{POSE_00}"}
 
 
 @pytest.mark.toolchain

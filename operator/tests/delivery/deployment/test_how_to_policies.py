@@ -6,6 +6,7 @@ import re
 
 from robotkube.delivery.deployment.core.policies.edits import read_edits_policy
 from robotkube.delivery.deployment.core.policies.initial import read_initial_policy
+from robotkube.delivery.deployment.core.policies.links import LinkConsents, read_consents, scope_of
 from robotkube.delivery.deployment.core.policies.merge import AUTOMATIC, read_merge_policy
 from robotkube.delivery.deployment.core.policies.revoked import read_revoked
 from robotkube.delivery.deployment.core.policies.updates import read_update_policy
@@ -31,7 +32,12 @@ def test_every_policy_on_the_page_can_be_read() -> None:
     assert read_update_policy(found.pop("policies/updates.yaml")).charts["object-detection"].first == ("vehicle-02",)
     assert read_revoked(found.pop("policies/revoked.yaml")) == {"vehicle-07": "its computer was stolen"}
     assert read_edits_policy(found.pop("policies/edits.yaml")) == "revert"
-    assert found == {}
+    consents, problems = read_consents(found, LinkConsents())
+    assert problems == ()
+    pose = "/vehicles/vehicle_00/pose"
+    assert consents.missing(pose, "manager", "manager-north") == ()
+    assert len(consents.missing("/agents/cloud_0/plan", "manager", "manager-north")) == 1
+    assert {scope_of(path) for path in found} == {"manager", "manager-north"}
 
 
 def test_the_operator_on_the_page_is_an_application_that_says_who_launched_it() -> None:

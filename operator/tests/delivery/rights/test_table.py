@@ -3,18 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from robotkube.delivery.deployment.core.borders import Borders
+from robotkube.delivery.deployment.core.policies.links import path_of
+from robotkube.delivery.deployment.core.policies.revoked import PATH as REVOKED_PATH
 from robotkube.delivery.deployment.core.policies.revoked import write_revoked
 from robotkube.delivery.deployment.core.releases import Release, read_tree
-from robotkube.delivery.rights.core.accounts import OWNER, READ, WRITE, Right, fixed_rights
-from robotkube.delivery.rights.core.control import DEFAULTS, Client, Password, Standing, first_file, wanted_roles
+from robotkube.delivery.rights.core.accounts import ASK, OWNER, READ, WRITE, ManagerAccount, Right, fixed_rights
+from robotkube.delivery.rights.core.control import (
+    DEFAULTS,
+    RECEIVE,
+    SUBSCRIBE,
+    Client,
+    Password,
+    Standing,
+    first_file,
+    wanted_roles,
+)
 from robotkube.delivery.rights.core.differences import access_changes, foreign_changes, missing, role_changes
-from robotkube.delivery.rights.core.grants import MainTable, granted, main_table
+from robotkube.delivery.rights.core.grants import MainTable, granted, main_table, rights_of
 from robotkube.robots.bridge.core.rights import IN, OUT, may, may_anybody
 from robotkube.robots.bridge.core.settings import GATEWAY_TOPICS
 from tests.stages.delivery.main_of_links import POSE_00, POSE_01, bridge, release, texts
@@ -25,7 +38,8 @@ ROLES = wanted_roles(FIXED)
 
 
 def table(*releases: Release, before: MainTable | None = None, revoked: str | None = None) -> MainTable:
-    return main_table("c" * 40, read_tree(texts(*releases)), ACCOUNTS, before, revoked)
+    policies = {} if revoked is None else {REVOKED_PATH: revoked}
+    return main_table("c" * 40, read_tree(texts(*releases)), ACCOUNTS, before, policies)
 
 
 def given_to(agent: str, main: MainTable) -> set[str]:
@@ -92,6 +106,8 @@ def test_the_task_gateway_needs_no_grant_and_is_given_to_nobody_else() -> None:
         {"name": "/a", "mqtt_topic": "$share/g/mqtt/vehicles/vehicle_01/pose"},
         {"name": "/a", "mqtt_topic": "#"},
         {"name": "/a", "mqtt_topic": "mqtt/+/x"},
+        {"name": "/a", "mqtt_topic": "{agent}/tasks/vehicle-01"},
+        {"name": "/a", "mqtt_topic": "{agent}/vehicles/vehicle_01/pose"},
         {"name": "/a/#"},
         {"name": "/+"},
         {"name": "/{agent}/{agent}"},
@@ -118,11 +134,11 @@ def test_another_name_at_the_broker() -> None:
 def test_a_broken_file_is_not_a_withdrawal() -> None:
     first = table(bridge("vehicle-00", POSE_01), bridge("cloud-0", POSE_00))
     files = {**texts(bridge("vehicle-00", POSE_01)), "releases/vehicle-00/mqtt-bridge.yaml": "no release"}
-    main = main_table("d" * 40, read_tree(files), ACCOUNTS, first)
+    main = main_table("d" * 40, read_tree(files), ACCOUNTS, first, {})
     assert given_to("vehicle-00", main) == {"mqtt/vehicles/vehicle_01/pose"}
     assert given_to("cloud-0", main) == set()
     assert "cannot be read; what it gave before stays" in main.problems[0]
-    assert main_table("d" * 40, read_tree(files), ACCOUNTS, None).table == FIXED
+    assert main_table("d" * 40, read_tree(files), ACCOUNTS, None, {}).table == FIXED
 
 
 PARTS = ["/", "$", "+", "#", "{agent}", "a", "robotkube/tasks", "mqtt", "/vehicles/vehicle_01"]
@@ -136,7 +152,7 @@ def test_whatever_anybody_deploys_gives_nothing_of_the_platform(incoming: Any, t
     deployed = release("vehicle-00", "any", {"bridge": {"in": incoming}, "detector": {"topics": topics}})
     for grant in granted(deployed, ACCOUNTS).grants:
         assert grant.agent == "vehicle-00"
-        for right in grant.rights:
+        for right in rights_of(grant, Borders()):
             assert right.direction == READ
             assert not right.topic.startswith(("$", "#", "+", "robotkube/task", "robotkube/holds"))
             assert "#" not in right.topic
@@ -271,3 +287,81 @@ def test_the_first_file_keeps_lists_and_makes_accounts_anew() -> None:
     assert {client["password"] for client in file["clients"]} == {"another"}
     assert [client["username"] for client in file["clients"] if client.get("disabled")] == ["vehicle-01"]
     assert first_file(FIXED, anew, {"roles": "broken"}) == first_file(FIXED, anew, None)
+
+
+# -- borders ------------------------------------------------------------------------------------------------------
+
+SPLIT = replace(
+    ACCOUNTS,
+    managers=(
+        ManagerAccount("south", ("vehicle-00", "roadside-0")),
+        ManagerAccount("north", ("vehicle-01", "cloud-0")),
+    ),
+)
+CONSENTS = {
+    path_of("south"): "sends: [{to: north, topics: ['/vehicles/{agent}/pose']}]\n",
+    path_of("north"): f"receives: [{{from: south, topics: [{POSE_00}]}}]\n",
+}
+
+
+def split_table(*releases: Release, before: MainTable | None = None, **policies: str) -> MainTable:
+    return main_table("c" * 40, read_tree(texts(*releases)), SPLIT, before, {**CONSENTS, **policies})
+
+
+def heard_by(agent: str, main: MainTable) -> set[str]:
+    """The topics that an agent may receive beside its own, without what says their types."""
+    rights = main.table[agent] - fixed_rights(SPLIT)[agent]
+    return {right.topic for right in rights if right.direction == READ and right.topic.startswith("mqtt/")}
+
+
+def test_another_scopes_topic_is_given_where_both_consent() -> None:
+    link = bridge("cloud-0", POSE_00)
+    assert heard_by("cloud-0", split_table(link)) == {f"mqtt{POSE_00}"}
+    for scope in ("south", "north"):
+        main = split_table(link, **{path_of(scope): "{}\n"})
+        assert heard_by("cloud-0", main) == set()
+        [problem] = main.problems
+        assert problem.startswith(f"releases/cloud-0/mqtt-bridge.yaml: topic {POSE_00} is said by vehicle-00 of ")
+        assert f"main lacks {path_of(scope)} " in problem
+    assert heard_by("cloud-0", table(link)) == {f"mqtt{POSE_00}"}, "one manager has no borders"
+
+
+def test_any_agent_is_asked_for_and_only_those_that_may_be_heard_are() -> None:
+    main = split_table(bridge("cloud-0", "/vehicles/{agent}/pose"))
+    poses = {f"mqtt/vehicles/{name}/pose" for name in ("vehicle_00", "vehicle_01", "cloud_0")}
+    assert heard_by("cloud-0", main) == poses
+    assert Right("mqtt/vehicles/+/pose", ASK) in main.table["cloud-0"]
+    assert (SUBSCRIBE, "mqtt/vehicles/+/pose", True) in wanted_roles(main.table)["cloud-0"]
+    assert (RECEIVE, "mqtt/vehicles/+/pose", True) not in wanted_roles(main.table)["cloud-0"]
+    assert main.problems == ()
+
+
+def test_a_withdrawn_consent_ends_a_right_that_a_broken_release_keeps() -> None:
+    before = split_table(bridge("cloud-0", POSE_00))
+    files = {**texts(bridge("cloud-0", POSE_00)), "releases/cloud-0/mqtt-bridge.yaml": "no release"}
+    kept = main_table("d" * 40, read_tree(files), SPLIT, before, CONSENTS)
+    assert heard_by("cloud-0", kept) == {f"mqtt{POSE_00}"}
+    assert heard_by("cloud-0", main_table("d" * 40, read_tree(files), SPLIT, before, {})) == set()
+    broken = {**CONSENTS, path_of("south"): "sends: 7"}
+    still = main_table("d" * 40, read_tree(files), SPLIT, before, broken)
+    assert heard_by("cloud-0", still) == {f"mqtt{POSE_00}"}, "a consent that cannot be read is not withdrawn"
+
+
+FOREIGN = ("mqtt/vehicles/vehicle_01/pose", "mqtt/vehicles/vehicle_01", "mqtt/agents/cloud_0/plan")
+levels = st.lists(st.sampled_from(["mqtt", "vehicles", "agents", "vehicle_01", "{agent}", "pose"]), max_size=5)
+odd_names = levels.map(lambda parts: "/" + "/".join(parts))
+odd_items = st.fixed_dictionaries({"name": odd_names}, optional={"mqtt_topic": odd_names.map(lambda name: name[1:])})
+
+
+def matches(topic_filter: str, topic: str) -> bool:
+    """Whether a filter without `#` stands for the topic."""
+    mine, parts = topic_filter.split("/"), topic.split("/")
+    return len(mine) == len(parts) and all(one in ("+", part) for one, part in zip(mine, parts, strict=True))
+
+
+@given(st.lists(odd_items, max_size=4))
+def test_whatever_anybody_deploys_hears_nothing_over_a_border_without_consent(incoming: Any) -> None:
+    deployed = release("vehicle-00", "any", {"bridge": {"in": incoming}})
+    main = main_table("c" * 40, read_tree(texts(deployed)), SPLIT, None, {})
+    heard = heard_by("vehicle-00", main)
+    assert not [(one, topic) for one in heard for topic in FOREIGN if matches(one, topic)]

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from ci.principles import RESULTS
-from tests.stages.platform import roadside_perception, two_operators
+from tests.stages.platform import roadside_perception, three_operators
 from tests.stages.platform.roadside_perception import RoadsidePerception
 from tests.stages.platform.running_platform import Platform
 from tests.stages.platform.table_one import on_stage
-from tests.stages.platform.two_operators import TwoOperators
+from tests.stages.platform.three_operators import ThreeOperators
 
 outcomes: dict[str, str] = {}
 
@@ -25,10 +25,10 @@ def perception(platform: Platform) -> RoadsidePerception:
 
 
 @pytest.fixture(scope="session")
-def operators(platform: Platform) -> TwoOperators:
-    """The cloud's operator and one on a vehicle, from a person's pull request until nothing is left."""
+def operators(platform: Platform) -> ThreeOperators:
+    """Operators in cloud, on edge server and vehicle, from a person's pull request until nothing is left."""
     with on_stage(platform) as stage:
-        return two_operators.play(stage)
+        return three_operators.play(stage)
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:

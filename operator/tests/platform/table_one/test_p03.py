@@ -15,10 +15,10 @@ vehicle and the road-side unit; the operator acts on what reaches the cloud.
 from __future__ import annotations
 
 from tests.stages.platform.intersection import SITE_SERVICES
-from tests.stages.platform.two_operators import TwoOperators
+from tests.stages.platform.three_operators import ThreeOperators
 
 
-def test_a_person_launches_software_that_launches_perception(operators: TwoOperators) -> None:
+def test_a_person_launches_software_that_launches_perception(operators: ThreeOperators) -> None:
     assert operators.launch.trailers["Cause"] == ("initial",)
     assert set(operators.supporting) == set(SITE_SERVICES)
     assert operators.roles == {"roadside"}

@@ -12,6 +12,7 @@ from typing import Any
 
 from robotkube.delivery.deployment.core.releases import Release
 from robotkube.delivery.rights.adapters.dynamic_security import DynamicSecurity
+from robotkube.delivery.rights.core.accounts import Accounts
 from robotkube.delivery.rights.core.control import REQUESTS
 from robotkube.delivery.rights.loops.keeper import Keeper
 from robotkube.delivery.rights.loops.main_follower import MainFollower
@@ -24,8 +25,8 @@ from tests.stages.waiting import until
 class KeptRights:
     """A broker, main, and the process's loops between them. `main`: in memory, unless there is another one."""
 
-    def __init__(self, folder: Path, main: Any = None) -> None:
-        self.broker = RightsBroker(folder)
+    def __init__(self, folder: Path, main: Any = None, accounts: Accounts = ACCOUNTS) -> None:
+        self.broker = RightsBroker(folder, accounts)
         self.main = main or Main()
         self.made: list[Connection] = []
         self.broker.start()
@@ -34,8 +35,8 @@ class KeptRights:
     def begin(self) -> None:
         """The process starts."""
         self.control = DynamicSecurity(lambda: self.broker.account("rights"))
-        self.keeper = Keeper(self.control, lambda: self.follower, ACCOUNTS, time.monotonic)
-        self.follower = MainFollower(self.main, ACCOUNTS, self.keeper.wake, time.monotonic)
+        self.keeper = Keeper(self.control, lambda: self.follower, self.broker.accounts, time.monotonic)
+        self.follower = MainFollower(self.main, self.broker.accounts, self.keeper.wake, time.monotonic)
         self._stopping = threading.Event()
         self._threads = [
             threading.Thread(target=one.run, args=(self._stopping,)) for one in (self.keeper, self.follower)
@@ -51,10 +52,12 @@ class KeptRights:
         for thread in self._threads:
             thread.join(10)
 
-    def merge(self, *releases: Release, revoked: Mapping[str, str] | None = None) -> float:
-        """Main has these releases and no others, and revokes these agents; the seconds until the broker had its
-        table."""
-        tip = self.main.put(*releases, revoked=revoked)
+    def merge(
+        self, *releases: Release, revoked: Mapping[str, str] | None = None, policies: Mapping[str, str] | None = None
+    ) -> float:
+        """Main has these releases and no others, revokes these agents, and has these policies besides; the seconds
+        until the broker had its table."""
+        tip = self.main.put(*releases, revoked=revoked, policies=policies)
         begun = time.monotonic()
         self.follower.wake(tip)
         until(lambda: self.keeper.applied == tip, "the table", state=lambda: self.keeper.reasons_not_ready())

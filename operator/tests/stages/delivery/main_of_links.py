@@ -36,17 +36,19 @@ def texts(*releases: Release) -> dict[str, str]:
 
 
 class Main:
-    """The port MainHistory. `put` makes a commit that has these releases and no others, and revokes these agents (with
-    the reason of each)."""
+    """The port MainHistory. `put` makes a commit that has these releases and no others, revokes these agents (with the
+    reason of each), and has these policies besides."""
 
     def __init__(self, *releases: Release) -> None:
         self.commits: list[Mapping[str, str]] = []
         self.away = False
         self.put(*releases)
 
-    def put(self, *releases: Release, revoked: Mapping[str, str] | None = None) -> str:
-        policies = {} if revoked is None else {REVOKED_PATH: write_revoked(revoked)}
-        return self.put_files({**texts(*releases), **policies})
+    def put(
+        self, *releases: Release, revoked: Mapping[str, str] | None = None, policies: Mapping[str, str] | None = None
+    ) -> str:
+        revoking = {} if revoked is None else {REVOKED_PATH: write_revoked(revoked)}
+        return self.put_files({**texts(*releases), **revoking, **(policies or {})})
 
     def put_files(self, files: Mapping[str, str]) -> str:
         self.commits.append(files)

@@ -11,6 +11,8 @@ from pathlib import Path
 
 from robotkube.delivery.rights import first_file
 from robotkube.delivery.rights.core.accounts import OBSERVER, OWNER, Accounts, AgentAccount, ManagerAccount
+from robotkube.foundation.certificates.adapters.issuing import throw_away
+from robotkube.foundation.certificates.adapters.verification import ServerVerification
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from tests.stages.programs import free_port
 from tests.stages.waiting import until
@@ -18,7 +20,7 @@ from tests.stages.waiting import until
 PLUGIN = "mosquitto_dynamic_security.so"
 SETTINGS = """
 listener {port} 127.0.0.1
-user root
+{certificate}user root
 allow_anonymous false
 plugin {plugin}
 plugin_opt_config_file {file}
@@ -46,9 +48,9 @@ def plugin() -> Path:
 
 class RightsBroker:
     """The broker in a folder; its passwords are `secret of <account>`. `restart` keeps the file, as a container that
-    starts again does; `begin_anew` does not, as another pod."""
+    starts again does; `begin_anew` does not, as another pod. `tls`: how it proves who it is when it is `encrypted`."""
 
-    def __init__(self, folder: Path, accounts: Accounts = ACCOUNTS) -> None:
+    def __init__(self, folder: Path, accounts: Accounts = ACCOUNTS, encrypted: bool = False) -> None:
         self.folder, self.accounts, self.port = folder, accounts, free_port()
         self.file = folder / "run" / "dynamic-security.json"
         self.passwords = folder / "passwords"
@@ -57,11 +59,21 @@ class RightsBroker:
         self.file.parent.mkdir(parents=True)
         names = [OWNER, OBSERVER, *(agent.name for agent in accounts.agents), *(one.name for one in accounts.managers)]
         self.passwords.write_text("".join(f"{name}:{password(name)}\n" for name in names))
-        settings = SETTINGS.format(port=self.port, plugin=plugin(), file=self.file)
+        self.tls = ServerVerification(folder / "ca.crt", "broker") if encrypted else None
+        certificate = self._certify() if encrypted else ""
+        settings = SETTINGS.format(port=self.port, plugin=plugin(), file=self.file, certificate=certificate)
         (folder / "mosquitto.conf").write_text(settings)
 
     def account(self, name: str) -> BrokerAccount:
-        return BrokerAccount("127.0.0.1", self.port, name, password(name))
+        return BrokerAccount("127.0.0.1", self.port, name, password(name), self.tls)
+
+    def _certify(self) -> str:
+        """Files of a certificate for the name `broker`; the settings that name them."""
+        issued = throw_away("broker")
+        files = {"ca.crt": issued.authority, "tls.crt": issued.pair.certificate, "tls.key": issued.pair.key}
+        for name, text in files.items():
+            (self.folder / name).write_text(text)
+        return f"certfile {self.folder}/tls.crt\nkeyfile {self.folder}/tls.key\n"
 
     def start(self) -> None:
         """Write the file as the init container does, and return when the broker takes connections."""

@@ -30,7 +30,8 @@ def read_operators(reader: Reader, root: Mapping[str, Any], agents: Iterable[str
     if not reader.problems:
         reader.problems += [*overlaps(managers), *(left_out(managers, names) if managers else [])]
         reader.problems += [*split_agents(scope, names), *excesses(scope, declared)]
-    return Operators(scope, {namespace: Scope(**parts) for namespace, parts in declared.items()})
+    operators = {namespace: Scope(**parts) for namespace, parts in declared.items()}
+    return Operators(scope, operators, tuple(managers))
 
 
 def _scope(reader: Reader, value: Any, path: str) -> Scope:

@@ -1,4 +1,5 @@
-"""Three managers with namespaces of their own on one forge: every plan of each is merged, exactly once."""
+"""Three managers with namespaces of their own on one forge: every plan of each is merged, exactly once, and what two of
+them answer together, by consent."""
 
 import secrets
 import threading
@@ -11,13 +12,15 @@ from pathlib import Path
 import pytest
 
 from robotkube.delivery.deployment.core.commit_messages import read_message
+from robotkube.delivery.deployment.core.policies.links import path_of
+from robotkube.delivery.deployment.core.releases import read_release
 from robotkube.delivery.gate.core.proposal_checks import Proposer
 from robotkube.delivery.manager.core.placement.placement import Agent, NodeState
-from robotkube.delivery.manager.core.placement.scopes import Operators, Scope
+from robotkube.delivery.manager.core.placement.scopes import DeclaredManager, Operators, Scope
 from robotkube.delivery.manager.loops.main_reader import MainReader
 from robotkube.delivery.manager.loops.planner import ManagerSettings, Planner
 from robotkube.delivery.manager.loops.proposals.plan_observer import PlanObserver
-from robotkube.delivery.manager.loops.reconciler import TASKS, ApplicationManager
+from robotkube.delivery.manager.loops.reconciler import DEPLOYMENT, TASKS, ApplicationManager
 from robotkube.delivery.manager.ports.manager_ports import ManagerPorts
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.foundation.documents.adapters.json_schema import validate
@@ -108,14 +111,19 @@ class Running:
         cloud, vehicle = self.agents
         for number in range(pairs):
             key = f"{cloud}/task-{number}-of-{pairs}"  # a name of an earlier run would count as withdrawn at once
-            event = {"rule": "near", "id": f"e{number}", "trace": f"{number:032x}", "time": "2026-11-21T10:00:00Z"}
-            spec = {"requester": self.name, "event": event, "application": "pose-point-cloud-recording"}
-            self.tasks.create(cloud, key.partition("/")[2], {**spec, "parameters": {"vehicles": [vehicle]}})
-            self.manager.wake(TASKS)
+            self.ask(key, number, vehicle)
             until(lambda key=key: self.committed(key), f"{key} committed", PLAN_SECONDS_MAX)
             self.tasks.delete(key)
             self.manager.wake(TASKS)
             until(lambda key=key: self.withdrawn(key), f"{key} withdrawn", PLAN_SECONDS_MAX)
+
+    def ask(self, key: str, number: int, *vehicles: str) -> None:
+        """A task asks for a recording of these vehicles."""
+        event = {"rule": "near", "id": f"e{number}", "trace": f"{number:032x}", "time": "2026-11-21T10:00:00Z"}
+        spec = {"requester": self.name, "event": event, "application": "pose-point-cloud-recording"}
+        namespace, _, task = key.partition("/")
+        self.tasks.create(namespace, task, {**spec, "parameters": {"vehicles": list(vehicles)}})
+        self.manager.wake(TASKS)
 
     def committed(self, key: str) -> bool:
         return self.tasks.condition(key, "Committed") == ("True", "Merged")
@@ -134,8 +142,9 @@ def make(installation: Installation, name: str, folder: Path) -> Running:
     catalogue = AssuredCatalogue(GitClone(url, "robotkube/catalogue", *account, folder / "catalogue"), trusted_keys())
     roles = [(f"{role}-{one}", role) for one in MANAGERS for role in ("cloud", "vehicle")]
     nodes = [NodeState(agent, agent, role, frozenset({"recording"}), True) for agent, role in roles]
-    mine = frozenset({f"cloud-{name}", f"vehicle-{name}"})
-    operators = Operators(Scope(mine, mine))
+    scopes = {one: frozenset({f"cloud-{one}", f"vehicle-{one}"}) for one in MANAGERS}
+    declared = tuple(DeclaredManager(one, Scope(agents, agents)) for one, agents in scopes.items())
+    operators = Operators(Scope(scopes[name], scopes[name]), managers=declared)
     settings = ManagerSettings(tuple(Agent(a, role, a) for a, role in roles), CHARTS_URL, operators)
     tasks, cluster, main = MemoryTasks(), MemoryCluster(nodes), MainReader(deployment)
     planner = Planner(settings, tasks, cluster, catalogue, main, Jinja2Templates().render, validate)
@@ -184,6 +193,46 @@ def test_all_plans_of_three_managers_are_merged_exactly_once(
         gone = [("withdraw", (f"{cloud}/task-{n}-of-{plans // 2}",)) for n in range(plans // 2)]
         assert mine[-plans:] == [step for pair in zip(wanted, gone, strict=True) for step in pair]
         assert one.manager.statistics.plans["refused"] == 0
+
+
+TOPICS = [f"/vehicles/{{agent}}/{name}" for name in ("pose", "lidar_center/pointcloud", "lidar_center/transform")]
+CONSENTS = {
+    path_of("south"): f"sends: [{{to: north, topics: {TOPICS}}}]\n",
+    path_of("north"): f"receives: [{{from: south, topics: {TOPICS}}}]\n",
+}
+
+
+def test_two_managers_answer_an_application_over_their_border_by_consent(
+    managed: Installation, managers: list[Running]
+) -> None:
+    """Each plans for its own agents, and the gate merges both; without one of the consents nothing of it is left."""
+    north, south, _ = managers
+    key, cloud = "cloud-north/over-the-border", "/vehicles/vehicle_south/lidar_center/pointcloud"
+    people = managed.clone("gate")
+
+    def merged(files: dict[str, str | None]) -> None:
+        assert people.push(people.commit(files, "policy(links)\n", [people.tip()]), "refs/heads/main") == ""
+
+    def carried(agent: str, direction: str) -> bool:
+        tree = people.repository[people.tip()].tree
+        path = f"releases/{agent}/mqtt-bridge.yaml"
+        values = read_release(tree[path].data.decode(), path).values if path in tree else {"bridge": {direction: []}}
+        return cloud in {topic["name"] for topic in values["bridge"][direction]}
+
+    def both(carry: bool) -> bool:
+        for one in (north, south):
+            one.manager.wake(DEPLOYMENT)
+        return carried("cloud-north", "in") is carried("vehicle-south", "out") is carry
+
+    north.ask(key, 1, "vehicle-north", "vehicle-south")
+    until(lambda: north.tasks.condition(key, "Accepted") == ("False", "LinkNotConsented"), "refused")
+    merged(dict(CONSENTS))
+    until(lambda: both(True), "both ends are on main", PLAN_SECONDS_MAX)
+    until(lambda: north.committed(key), "committed", PLAN_SECONDS_MAX)
+    merged({path_of("south"): None})
+    until(lambda: both(False), "neither end is on main", PLAN_SECONDS_MAX)
+    assert north.tasks.condition(key, "Accepted") == ("False", "LinkNotConsented")
+    assert [one.manager.statistics.plans["refused"] for one in managers] == [0, 0, 0]
 
 
 def plans_on_main(installation: Installation) -> list[tuple[str, str, tuple[str, tuple[str, ...]]]]:

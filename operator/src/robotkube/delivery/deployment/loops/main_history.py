@@ -10,6 +10,7 @@ from robotkube.delivery.deployment.core.repairs import HISTORY_COMMITS_MAX
 from robotkube.errors import DocumentError
 from robotkube.foundation.forge.ports.repositories import MainHistory
 
+POLICIES = "policies"
 TERM_COMMITS_MAX = 10_000  # how far back a manager's last term is searched
 NOT_TEXT = "\0"  # stands for a file that is no ordinary text: it cannot be read, but it is there
 
@@ -24,11 +25,13 @@ def release_files(repository: MainHistory, commit: str) -> dict[str, str]:
     }
 
 
-def policy_text(repository: MainHistory, commit: str, path: str) -> str | None:
-    """The text of a policy in a commit, None when it is not there; of one that is no text, what nobody can read."""
-    folders = [path.rpartition("/")[0]]
-    irregular = NOT_TEXT if path in repository.irregular(commit, folders) else None
-    return repository.files(commit, folders).get(path, irregular)
+def policy_files(repository: MainHistory, commit: str) -> dict[str, str]:
+    """The files of policies/ in a commit; one that is no text has a content that nobody can read."""
+    folders = (POLICIES,)
+    return {
+        **repository.files(commit, folders),
+        **dict.fromkeys(repository.irregular(commit, folders), NOT_TEXT),
+    }
 
 
 def older_files(repository: MainHistory) -> Iterator[Mapping[str, str]]:

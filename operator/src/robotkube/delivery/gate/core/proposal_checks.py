@@ -11,12 +11,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from robotkube.delivery.deployment.core.borders import speaker
 from robotkube.delivery.deployment.core.break_glass import ACCEPTED_PATH, SIGNERS_PATH, read_accepted, read_signers
 from robotkube.delivery.deployment.core.commit_messages import REPAIR, CommitMessage, read_message
 from robotkube.delivery.deployment.core.policies.edits import PATH as EDITS_PATH
 from robotkube.delivery.deployment.core.policies.edits import read_edits_policy
 from robotkube.delivery.deployment.core.policies.initial import PATH as INITIAL_PATH
 from robotkube.delivery.deployment.core.policies.initial import read_initial_policy
+from robotkube.delivery.deployment.core.policies.links import FOLDER as LINKS_FOLDER
+from robotkube.delivery.deployment.core.policies.links import read_consent, scope_of
 from robotkube.delivery.deployment.core.policies.merge import PATH as MERGE_PATH
 from robotkube.delivery.deployment.core.policies.merge import read_merge_policy
 from robotkube.delivery.deployment.core.policies.revoked import PATH as REVOKED_PATH
@@ -29,6 +32,7 @@ from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.defaults import with_defaults
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.registry.charts.core.references import ChartReference
+from robotkube.robots.ros.core.topic_patterns import AGENT
 
 POLICIES = "policies"
 BOOTSTRAP = "bootstrap"
@@ -289,6 +293,8 @@ def _policy(path: str, text: str | None, rules: Rules) -> Iterable[str]:
         read_update_policy(text, path)
     elif path == REVOKED_PATH:
         yield from _revoked(path, text, rules)
+    elif path.startswith(f"{LINKS_FOLDER}/"):
+        yield from _consent(path, text, rules)
     else:
         read_mapping(text, path)
 
@@ -312,6 +318,30 @@ def _revoked(path: str, text: str, rules: Rules) -> Iterable[str]:
         if agent not in rules.namespaces | rules.others:
             known = ", ".join(sorted(rules.namespaces | rules.others)) or "none"
             yield f"{path}: revoked[{index}].agent: no agent {agent} is declared; there are: {known}"
+
+
+def _consent(path: str, text: str, rules: Rules) -> Iterable[str]:
+    """Problems of what a scope consents to: of its own name, of other scopes' names, of topics of nobody there."""
+    known = ", ".join(sorted(rules.accounts)) or "none"
+    own = scope_of(path)
+    if own not in rules.accounts:
+        yield f"{path}: is no scope's file: {LINKS_FOLDER}/<manager>.yaml, and the managers are {known}"
+        return
+    consent = read_consent(text, path)
+    for key, topics in (("sends", consent.sends), ("receives", consent.receives)):
+        for other, names in topics.items():
+            if other == own or other not in rules.accounts:
+                yield f"{path}: {key}: {other} is no other manager; there are: {known}"
+                continue
+            sender = own if key == "sends" else other
+            yield from (f"{path}: {key}: {problem}" for name in names for problem in _said(name, sender, rules))
+
+
+def _said(topic: str, scope: str, rules: Rules) -> Iterable[str]:
+    """Problems of a topic that agents of a scope are to say."""
+    whose = speaker(topic)
+    if whose not in (AGENT, *(agent for agent, its in rules.borders.scopes.items() if its == scope)):
+        yield f"{topic} is said by no agent of scope {scope}: it must be below /vehicles/<agent>/ or /agents/<agent>/"
 
 
 def message_problems(message: CommitMessage, proposal: ProposedCommit) -> tuple[str, ...]:

@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from robotkube.delivery.deployment.core.borders import Borders, said_as
+from robotkube.delivery.deployment.core.heard_topics import heard_topics
 from robotkube.delivery.deployment.core.releases import Release, Source, TaskCause
 from robotkube.errors import InputError
 from robotkube.foundation.documents.core.defaults import with_defaults
@@ -26,7 +28,8 @@ class Rules:
     from (`oci://host/organisation`), what the catalogue knows and proves; `schema` gives the values schema of
     (chart, version), None when the catalogue has none; `images` renders a release and gives the images of its pods,
     InputError when it cannot be rendered; `last_term` is the account's highest term on main, `repair` what
-    would bring a broken main back (path -> text, None removes), empty when nothing is broken."""
+    would bring a broken main back (path -> text, None removes), empty when nothing is broken. `borders` are those
+    between the scopes of `accounts`, all that propose."""
 
     account: str
     namespaces: frozenset[str]
@@ -37,6 +40,8 @@ class Rules:
     images: Callable[[Release], Sequence[str]]
     others: frozenset[str] = frozenset()
     last_term: int = 0
+    accounts: tuple[str, ...] = ()
+    borders: Borders = field(default_factory=Borders)
     repair: Mapping[str, str | None] = field(default_factory=dict)
 
 
@@ -51,7 +56,7 @@ def release_problems(path: str, release: Release, rules: Rules) -> Iterable[str]
     images last, since only valid values are rendered."""
     problems = list(_chart(release, rules))
     if not problems:
-        problems = [*_values(release, rules), *_parameters(release, rules)]
+        problems = [*_values(release, rules), *_links(release, rules), *_parameters(release, rules)]
     if not problems:
         problems = list(_images(release, rules))
     yield from (f"{path}: {problem}" for problem in problems)
@@ -83,6 +88,13 @@ def _values(release: Release, rules: Rules) -> Iterable[str]:
             )
         return
     yield from rules.validate(schema, deployed(schema, release.values, release.plan), "spec.values")
+
+
+def _links(release: Release, rules: Rules) -> Iterable[str]:
+    """Topics of other scopes' agents that it would hear without the consent of both scopes."""
+    for heard in heard_topics(release.values):
+        if obstacle := rules.borders.obstacle(said_as(heard.filter), release.namespace):
+            yield f"spec.values.{heard.where}: {obstacle}"
 
 
 def _images(release: Release, rules: Rules) -> Iterable[str]:

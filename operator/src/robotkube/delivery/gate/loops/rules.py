@@ -7,14 +7,16 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
+from robotkube.delivery.deployment.core.borders import Borders, scopes_of
+from robotkube.delivery.deployment.core.policies.links import LinkConsents, read_consents
 from robotkube.delivery.deployment.core.policies.merge import PATH as MERGE_PATH
 from robotkube.delivery.deployment.core.policies.merge import MergePolicy, Way, read_merge_policy
 from robotkube.delivery.deployment.core.releases import Release, Tree, read_tree
 from robotkube.delivery.deployment.core.repairs import repair
-from robotkube.delivery.deployment.loops.main_history import Terms, older_files, release_files
+from robotkube.delivery.deployment.loops.main_history import Terms, older_files, policy_files, release_files
 from robotkube.delivery.gate.core import proposal_checks
 from robotkube.delivery.gate.core.release_checks import Rules
 from robotkube.errors import DocumentError
@@ -50,12 +52,14 @@ class GateSettings:
 
 @dataclass(frozen=True)
 class _Main:
-    """releases/ and sources/ at one tip, as text and read, and what would bring them back (see repairs.repair)."""
+    """releases/ and sources/ at one tip, as text and read, and what would bring them back (see repairs.repair);
+    `consents`: what scopes let pass their borders."""
 
     tip: str
     files: Mapping[str, str]
     tree: Tree
     repair: Mapping[str, str | None]
+    consents: LinkConsents = field(default_factory=LinkConsents)
 
 
 class GateRules:
@@ -91,6 +95,7 @@ class GateRules:
     def _rules(self, account: str, namespaces: frozenset[str], others: frozenset[str]) -> Rules:
         if not self._catalogue.tip:
             self._catalogue.read()
+        known = self._known()
         return Rules(
             account=account,
             namespaces=namespaces,
@@ -101,7 +106,9 @@ class GateRules:
             images=self._images_of,
             others=others,
             last_term=self._terms.last(account, self._main.tip),
-            repair=self._known().repair,
+            repair=known.repair,
+            accounts=tuple(self._settings.accounts),
+            borders=Borders(scopes_of((p.account, p.namespaces) for p in self._settings.proposers), known.consents),
         )
 
     def _images_of(self, release: Release) -> Sequence[str]:
@@ -109,12 +116,16 @@ class GateRules:
         return self._images(chart, release.values, release.plan, release.name, release.namespace)
 
     def _known(self) -> _Main:
-        """Main's files as they are, read once per tip; its history is read only when something is broken."""
+        """Main's files as they are, read once per tip; its history is read only when something is broken. A consent
+        that cannot be read is what it was before."""
         if self._main_now.tip != self._main.tip:
             files = release_files(self._main, self._main.tip)
             tree = read_tree(files)
             changes = repair(files, older_files(self._main)) if tree.problems else {}
-            self._main_now = _Main(self._main.tip, files, tree, changes)
+            consents, problems = read_consents(policy_files(self._main, self._main.tip), self._main_now.consents)
+            for problem in problems:
+                log.error("policy unusable commit=%s problem=%r", self._main.tip[:12], problem)
+            self._main_now = _Main(self._main.tip, files, tree, changes, consents)
         return self._main_now
 
     def proposal(self, commit: Commit, overlaps: Sequence[str] = ()) -> proposal_checks.ProposedCommit:

@@ -246,7 +246,7 @@ def describe(
         lines.append(f"- `{cause.task}` asks for {cause.application} (rule {cause.rule}, event {cause.event}){reason}")
     lines += [f"- `{c.task}` is withdrawn (rule {c.rule}, event {c.event})" for c in sorted(go)]
     if plan.message.initial:
-        lines.append("- the initial configuration (catalogue and policies/initial.yaml)")
+        lines.append("- the initial configuration (catalogue and policies/)")
     lines += ["", "## Decided", ""]
     for key in [c.task for c in sorted(come)]:
         outcome = desired.outcomes.get(key)

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
+from robotkube.delivery.deployment.core.policies.links import LinkConsents
 from robotkube.delivery.deployment.core.releases import Release, Tree
 from robotkube.delivery.manager.core.chains import ChainTask, judge, lineage
 from robotkube.delivery.manager.core.composition.composer import Met, Refused
@@ -40,16 +41,18 @@ class Constraints:
         self._unbounded = operators.unbounded
         self._names = {agent.namespace: agent.name for agent in agents}
         self._logged: Mapping[str, DeviceHold] = {}
-        self._fleet: tuple[Fleet, Fleet] | None = None
+        self._fleet: tuple[Fleet, LinkConsents, Fleet] | None = None
         self._own: tuple[Tree, Tree] | None = None
         self.waiting_tasks: Mapping[str, str] = {}
         self.holds_end_ns: int | None = None
 
-    def fleet(self, whole: Fleet) -> Fleet:
-        """The agents that this manager answers for, with their nodes; the same object for the same fleet."""
-        if self._fleet is None or self._fleet[0] is not whole:
-            self._fleet = whole, scoped_fleet(whole, self._operators.manager)
-        return self._fleet[1]
+    def fleet(self, whole: Fleet, consents: LinkConsents) -> Fleet:
+        """The agents that this manager answers for, with their nodes, and what may be heard of others; the same object
+        for the same fleet and consents."""
+        if self._fleet is None or self._fleet[0] is not whole or self._fleet[1] != consents:
+            borders = self._operators.borders(consents)
+            self._fleet = whole, consents, scoped_fleet(whole, self._operators.manager, borders)
+        return self._fleet[2]
 
     def own(self, tree: Tree) -> Tree:
         """The part of main that this manager answers for; it leaves everything else as it is. The same object for the

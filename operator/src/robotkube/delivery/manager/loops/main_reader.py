@@ -13,9 +13,10 @@ from robotkube.delivery.deployment.core.policies.edits import PATH as EDITS_PATH
 from robotkube.delivery.deployment.core.policies.edits import RESPECT, REVERT, EditsPolicy, read_edits_policy
 from robotkube.delivery.deployment.core.policies.initial import PATH as INITIAL_PATH
 from robotkube.delivery.deployment.core.policies.initial import InitialPolicy, read_initial_policy
+from robotkube.delivery.deployment.core.policies.links import LinkConsents, read_consents
 from robotkube.delivery.deployment.core.releases import RELEASES, Tree, read_tree
 from robotkube.delivery.deployment.core.repairs import repair
-from robotkube.delivery.deployment.loops.main_history import older_files, release_files, term_of
+from robotkube.delivery.deployment.loops.main_history import older_files, policy_files, release_files, term_of
 from robotkube.delivery.manager.core.plans import Change
 from robotkube.delivery.manager.core.respected_edits import respected
 from robotkube.errors import InputError
@@ -23,7 +24,6 @@ from robotkube.foundation.forge.ports.repositories import Commit, DeploymentRepo
 from robotkube.registry.catalogue.core.catalogue import Catalogue
 from robotkube.registry.catalogue.core.entry_documents import entry_documents
 
-POLICIES = "policies"
 COMMITS_READ_MAX = 200
 
 log = logging.getLogger(__name__)
@@ -35,7 +35,8 @@ def catalogue_page(catalogue: Catalogue, tip: str) -> dict[str, Any]:
 
 
 class MainReader:
-    """Main of the deployment repository: its releases and sources, policies/initial.yaml and policies/edits.yaml.
+    """Main of the deployment repository: its releases and sources, policies/initial.yaml, policies/edits.yaml and what
+    policies/links/ lets pass between scopes.
 
     `edits` are the releases whose file a person was the last to change: path -> the person's commit. `new_commits` are
     those that the last reading brought, oldest first, at most COMMITS_READ_MAX; `notes` those of its commits with the
@@ -49,6 +50,7 @@ class MainReader:
         self.policy = InitialPolicy()
         self.policy_text = ""
         self.edits_policy: EditsPolicy = REVERT
+        self.consents = LinkConsents()
         self.edits: dict[str, str] = {}
         self._editors: dict[str, str] = {}
         self.new_commits: Sequence[Commit] = ()
@@ -71,9 +73,10 @@ class MainReader:
             raise InputError("the deployment repository has no main branch yet; nothing is planned")
         if newest == self.tip:
             return False
-        policies = self._repository.files(newest, (POLICIES,))
+        policies = policy_files(self._repository, newest)
         self._read_policy(policies.get(INITIAL_PATH, "{}\n"), newest)
         self._read_edits_policy(policies.get(EDITS_PATH, ""), newest)
+        self._read_consents(policies, newest)
         self._files = release_files(self._repository, newest)
         self.tree = read_tree(self._files)
         self.new_commits = self._repository.log(self.tip or None, COMMITS_READ_MAX)
@@ -134,3 +137,8 @@ class MainReader:
             self.edits_policy = read_edits_policy(text) if text else REVERT
         except InputError as error:
             log.error("policy not accepted commit=%s problem=%r", commit[:12], str(error))
+
+    def _read_consents(self, policies: Mapping[str, str], commit: str) -> None:
+        self.consents, problems = read_consents(policies, self.consents)
+        for problem in problems:
+            log.error("policy not accepted commit=%s problem=%r", commit[:12], problem)

@@ -21,7 +21,7 @@ from robotkube.delivery.manager.core.composition.composer import (
     Validate,
     compose,
 )
-from robotkube.delivery.manager.core.composition.initial_demands import initial_demands
+from robotkube.delivery.manager.core.composition.initial_demands import initial_demands, sent_to_others
 from robotkube.delivery.manager.core.conflicts import DemandOutcome, History, Postponed, Resolution, resolve
 from robotkube.delivery.manager.core.explanations import Explanation, explain, explain_withdrawal
 from robotkube.delivery.manager.core.placement.placement import (
@@ -370,7 +370,7 @@ class Planner:
 
     @property
     def _inputs_of_all(self) -> str:
-        return f"{self._catalogue.tip} {self._main.policy_text}"
+        return f"{self._catalogue.tip} {self._main.policy_text} {self._main.consents}"
 
     def _inputs_of(self, key: str) -> str | None:
         """The inputs of a refusal of the demand `key`; None when its task is gone."""
@@ -405,7 +405,7 @@ class Planner:
         return replace(resolution, outcomes={**resolution.outcomes, **refused})
 
     def _within(self, tasks: Sequence[TaskDescription], history: History, pins: Mapping[str, Pin]) -> Resolution:
-        own_fleet = self._constraints.fleet(self._fleet())
+        own_fleet = self._constraints.fleet(self._fleet(), self._main.consents)
         tree = self._main.tree
         present: Mapping[str, Release] = self._constraints.own(tree).releases
         inputs = Inputs(
@@ -420,7 +420,7 @@ class Planner:
             schema=self._catalogue.schema,
         )
         initial = initial_demands(self._catalogue.catalogue, self._main.policy, own_fleet)
-        wanted = [*initial, *self._demands_of(tasks)]
+        wanted = [*initial, *sent_to_others(inputs.others, own_fleet), *self._demands_of(tasks)]
         refused = self._image_refusals.standing(self._inputs_of)
 
         def composed(demands: Sequence[Demand]) -> Composition:

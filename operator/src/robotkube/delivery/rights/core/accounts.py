@@ -11,6 +11,7 @@ from robotkube.robots.mqtt.core.message_properties import MQTT_PREFIX, TYPES_PRE
 
 READ = "read"
 WRITE = "write"
+ASK = "ask"
 OBSERVER = "observer"
 OWNER = "rights"
 """The account of the process that keeps the rights; no agent or manager has this name."""
@@ -24,7 +25,8 @@ EVERYBODY = "*"
 
 @dataclass(frozen=True, order=True)
 class Right:
-    """A right of an account: to `read` or to `write` the topics that an MQTT filter stands for."""
+    """A right of an account: to `read` or to `write` the topics that an MQTT filter stands for, or to `ask` for all of
+    them, where it may read some."""
 
     topic: str
     direction: str

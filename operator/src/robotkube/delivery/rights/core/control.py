@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from robotkube.delivery.rights.core.accounts import OWNER, READ, WRITE, Right, Table
+from robotkube.delivery.rights.core.accounts import ASK, OWNER, READ, WRITE, Right, Table
 
 REQUESTS = "$CONTROL/dynamic-security/v1"
 RESPONSES = "$CONTROL/dynamic-security/v1/response"
@@ -57,7 +57,7 @@ class Standing:
 
 def entries(rights: Iterable[Right]) -> frozenset[Entry]:
     """The list of an account."""
-    types = {WRITE: (SEND,), READ: (SUBSCRIBE, RECEIVE)}
+    types = {WRITE: (SEND,), READ: (SUBSCRIBE, RECEIVE), ASK: (SUBSCRIBE,)}
     return frozenset((kind, right.topic, True) for right in rights for kind in types[right.direction])
 
 

@@ -1,30 +1,25 @@
-"""What releases on main give to read: the topics that the values of a release say are brought in from the broker.
+"""What releases on main give to read: the topics that they bring in from the broker.
 
-    bridge:   {in: [{name: /vehicles/vehicle_01/pose, mqtt_topic: ...}]}         a bridge, at the end of links
-    detector: {topics: [{name: "/vehicles/{agent}/pose", source: mqtt}]}         a detector that reads the broker itself
-
-They are read by this form, whatever the chart is: a chart of one's own that takes its topics under `bridge.in` is a
-bridge like ours. What cannot be read gives nothing, and is said. Whose right it is follows from the namespace alone,
-which is that of the file's path: what else a release says about agents gives nothing.
+What cannot be read gives nothing, and is said. Whose right it is follows from the namespace alone, which is that of the
+file's path: what else a release says about agents gives nothing. What another scope's agents say is given where both
+scopes consent.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
+from robotkube.delivery.deployment.core.borders import Borders, said_as, scopes_of, speaker
+from robotkube.delivery.deployment.core.heard_topics import heard_topics
+from robotkube.delivery.deployment.core.policies.links import LinkConsents, read_consents
 from robotkube.delivery.deployment.core.policies.revoked import PATH as REVOKED_PATH
 from robotkube.delivery.deployment.core.policies.revoked import read_revoked
 from robotkube.delivery.deployment.core.releases import RELEASES, Release, Tree
-from robotkube.delivery.rights.core.accounts import READ, Accounts, Right, Table, fixed_rights, with_types
+from robotkube.delivery.rights.core.accounts import ASK, READ, Accounts, Right, Table, fixed_rights, with_types
 from robotkube.errors import DocumentError
-from robotkube.foundation.documents.core.patterns import MQTT_TOPIC, ROS_TOPIC_PATTERN
-from robotkube.robots.bridge.core.settings import GATEWAY_TOPICS, BridgedTopic
+from robotkube.robots.mqtt.core.message_properties import MQTT_PREFIX
 from robotkube.robots.ros.core.topic_patterns import AGENT
-
-OF_THE_PLATFORM = ("robotkube/", "mqtt_client/")
-"""Beginnings of topics of which nobody is given one by itself: the task gateway, and what says types."""
 
 
 @dataclass(frozen=True, order=True)
@@ -35,11 +30,6 @@ class Grant:
     release: str
     name: str
     topic: str
-
-    @property
-    def rights(self) -> frozenset[Right]:
-        """The rights at the broker."""
-        return frozenset(Right(topic, READ) for topic in with_types(self.topic))
 
 
 @dataclass(frozen=True)
@@ -57,76 +47,84 @@ def granted(release: Release, accounts: Accounts) -> Granted:
         return Granted()
     grants: set[Grant] = set()
     problems: list[str] = []
-    for where, item in _read_topics(release.values):
-        name = item.get("name") if isinstance(item, Mapping) else None
-        if name in GATEWAY_TOPICS:
-            continue  # everybody has his own
-        topic = _filter(item)
-        if topic:
-            grants.add(Grant(account.name, release.key, str(name), topic))
+    for heard in heard_topics(release.values):
+        if heard.filter:
+            grants.add(Grant(account.name, release.key, heard.name, heard.filter))
         else:
-            problems.append(f"{release.path}: {where}: is no topic that can be given to read; nothing is given for it")
+            where = f"{release.path}: {heard.where}"
+            problems.append(f"{where}: is no topic that can be given to read; nothing is given for it")
     return Granted(tuple(sorted(grants)), tuple(problems))
 
 
-def _read_topics(values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """What the values say is read from the broker, with its place in them."""
-    for index, item in enumerate(_items(values, "bridge", "in")):
-        yield f"bridge.in[{index}]", item
-    for index, item in enumerate(_items(values, "detector", "topics")):
-        if isinstance(item, Mapping) and item.get("source") == "mqtt":
-            yield f"detector.topics[{index}]", {"name": item.get("name")}
+def borders_of(accounts: Accounts, consents: LinkConsents) -> Borders:
+    """The borders between the scopes of the managers."""
+    return Borders(scopes_of((one.name, one.agents) for one in accounts.managers), consents)
 
 
-def _items(values: Mapping[str, Any], outer: str, inner: str) -> list[Any]:
-    mapping = values.get(outer)
-    items = mapping.get(inner) if isinstance(mapping, Mapping) else None
-    return items if isinstance(items, list) else []
+def topics_of(grant: Grant, borders: Borders) -> list[str]:
+    """The filters at the broker of what a grant gives to hear, without what says their types: nothing where its topic
+    may not go over a border, and of one that names any agent those whose topic may."""
+    topic = said_as(grant.topic)
+    if borders.missing(topic, grant.agent):
+        return []
+    if not borders.scopes or speaker(topic) != AGENT:
+        return [grant.topic]
+    return [MQTT_PREFIX + named for named in borders.heard_of(topic, grant.agent)]
 
 
-def _filter(item: Any) -> str:
-    """The filter at the broker of a topic in a release's values; empty when there is none to be given."""
-    name = item.get("name") if isinstance(item, Mapping) else None
-    if not isinstance(name, str) or not ROS_TOPIC_PATTERN.fullmatch(name) or name.count(AGENT) > 1:
-        return ""
-    other = item.get("mqtt_topic") or ""
-    if other and not (isinstance(other, str) and MQTT_TOPIC.fullmatch(other)):
-        return ""
-    topic = BridgedTopic(name, "", mqtt_topic=other).filter
-    return "" if topic.startswith(OF_THE_PLATFORM) else topic
+def rights_of(grant: Grant, borders: Borders) -> Iterator[Right]:
+    """The rights at the broker of a grant. The filter that is subscribed to is the grant's, so a bridge notices nothing
+    of consents that come and go."""
+    heard = topics_of(grant, borders)
+    for topic in heard:
+        yield from (Right(one, READ) for one in with_types(topic))
+    if heard and grant.topic not in heard:
+        yield from (Right(one, ASK) for one in with_types(grant.topic))
 
 
 @dataclass(frozen=True)
 class MainTable:
     """The rights at one commit of main: the table, and what gave its variable part, by the release's path. `revoked`:
-    agents that may not be at the broker, each with the reason; None: the file that says it could never be read."""
+    agents that may not be at the broker, each with the reason; None: the file that says it could never be read.
+    `consents`: what scopes let pass their borders."""
 
     commit: str
     table: Table
     granted: Mapping[str, Granted] = field(default_factory=dict)
     problems: tuple[str, ...] = ()
     revoked: Mapping[str, str] | None = field(default_factory=dict)
+    consents: LinkConsents = field(default_factory=LinkConsents)
 
 
 def main_table(
-    commit: str, tree: Tree, accounts: Accounts, before: MainTable | None, revoked_text: str | None = None
+    commit: str, tree: Tree, accounts: Accounts, before: MainTable | None, policies: Mapping[str, str]
 ) -> MainTable:
-    """The table at a commit; `revoked_text` is that of policies/revoked.yaml. A file that cannot be read keeps what it
-    said `before`: it is broken, and not withdrawn. Who is revoked has no rights."""
+    """The table at a commit; `policies` are its policies, as text. A file that cannot be read keeps what it said
+    `before`: it is broken, and not withdrawn. Who is revoked has no rights."""
     known = before.granted if before else {}
     broken = [path for path in tree.suspects if path.startswith(f"{RELEASES}/") and path not in tree.releases]
     kept = {path: known[path] for path in broken if path in known}
     every = {**{path: granted(release, accounts) for path, release in tree.releases.items()}, **kept}
+    consents, unread = read_consents(policies, before.consents if before else LinkConsents())
+    borders = borders_of(accounts, consents)
     table = fixed_rights(accounts)
     for one in every.values():
         for grant in one.grants:
-            table[grant.agent] |= grant.rights
-    revoked, wrong = _revoked(revoked_text, accounts, before)
+            table[grant.agent] |= frozenset(rights_of(grant, borders))
+    revoked, wrong = _revoked(policies.get(REVOKED_PATH), accounts, before)
     table |= dict.fromkeys(revoked or (), frozenset())
     unreadable = (f"{path}: cannot be read; what it gave before stays, until it is mended or gone" for path in broken)
-    problems = (*unreadable, *wrong, *(text for one in every.values() for text in one.problems))
+    problems = (*unreadable, *unread, *wrong, *_problems(every, borders))
     given = {path: one for path, one in every.items() if one.grants or one.problems}
-    return MainTable(commit, table, given, problems, revoked)
+    return MainTable(commit, table, given, problems, revoked, consents)
+
+
+def _problems(every: Mapping[str, Granted], borders: Borders) -> Iterator[str]:
+    """What in releases gives nothing, and why."""
+    for path, one in every.items():
+        yield from one.problems
+        obstacles = (borders.obstacle(said_as(grant.topic), grant.agent) for grant in one.grants)
+        yield from (f"{path}: {obstacle}" for obstacle in obstacles if obstacle)
 
 
 def _revoked(

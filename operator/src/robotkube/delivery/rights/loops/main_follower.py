@@ -6,9 +6,8 @@ import logging
 import threading
 from collections.abc import Callable
 
-from robotkube.delivery.deployment.core.policies.revoked import PATH as REVOKED_PATH
 from robotkube.delivery.deployment.core.releases import read_tree
-from robotkube.delivery.deployment.loops.main_history import policy_text, release_files
+from robotkube.delivery.deployment.loops.main_history import policy_files, release_files
 from robotkube.delivery.rights.core.accounts import Accounts
 from robotkube.delivery.rights.core.grants import MainTable, main_table
 from robotkube.errors import RobotKubeError
@@ -86,7 +85,7 @@ class MainFollower:
             return
         before = self.table
         tree = read_tree(release_files(self._repository, tip))
-        table = main_table(tip, tree, self._accounts, before, policy_text(self._repository, tip, REVOKED_PATH))
+        table = main_table(tip, tree, self._accounts, before, policy_files(self._repository, tip))
         for problem in table.problems:
             if before is None or problem not in before.problems:
                 log.warning("rights: %s", problem)

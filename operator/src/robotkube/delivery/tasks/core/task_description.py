@@ -29,6 +29,7 @@ NO_CAPABLE_NODE = "NoCapableNode"
 INVALID_PARAMETERS = "InvalidParameters"
 APPLICATION_NOT_VERIFIED = "ApplicationNotVerified"
 IMAGE_NOT_VERIFIED = "ImageNotVerified"
+LINK_NOT_CONSENTED = "LinkNotConsented"
 POSTPONED = "Postponed"
 QUEUE_FULL = "QueueFull"
 QUEUE_TOO_LONG = "QueueTooLong"
@@ -46,6 +47,7 @@ REFUSAL_TEXTS: Mapping[str, str] = {
     INSUFFICIENT_RESOURCES: "the resource requests do not fit beside what is planned on the capable nodes",
     "CompositionFailed": "the application's services cannot be put together with these parameters",
     "LinkNotPermitted": "the broker refuses a topic of a link: its sender may not write it",
+    LINK_NOT_CONSENTED: "a link goes over the border of two managers' scopes, and not both consent on main",
     "LinkTypeUnknown": "no bridge knows the message type of a topic of a link",
     "LinkMismatch": "a chart at an end of a link does not open a topic of it, or opens it with another type or QoS",
     RELEASE_IN_USE: "another demand needs a release of the same name with other content",

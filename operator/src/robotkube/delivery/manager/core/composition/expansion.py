@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
+from robotkube.delivery.deployment.core.borders import said_as
+from robotkube.delivery.deployment.core.heard_topics import heard_topics
 from robotkube.delivery.deployment.core.releases import Release, TaskCause, application_name
 from robotkube.delivery.manager.core.composition.assignments import Assignments
 from robotkube.delivery.manager.core.composition.co_location import Instance, groups, instances
@@ -36,6 +38,9 @@ from robotkube.registry.catalogue.core.catalogue import Pin
 from robotkube.registry.catalogue.core.chart_versions import ChartVersion
 from robotkube.registry.catalogue.core.links.ends import Opening, opened
 from robotkube.robots.bridge.core.rights import IN, OUT
+
+MQTT = "mqtt"
+"""The kind of link that leaves a node."""
 
 T = TypeVar("T")
 
@@ -84,7 +89,18 @@ def choices_of(parts: Sequence[tuple[str, ...] | int], placed: Sequence[PlacedGr
 
 def expand(demand: Demand, index: Index, assignments: Assignments) -> Expansion:
     """Everything that the demand asks for, its groups assigned; RefusalError or DocumentError when it cannot be met."""
-    return _Expander(demand, index, assignments).expanded()
+    return _sending(demand, index) if demand.sent else _Expander(demand, index, assignments).expanded()
+
+
+def _sending(demand: Demand, index: Index) -> Expansion:
+    """A topic that the agent's bridge sends."""
+    expansion = Expansion(demand, demand.application, None)
+    lookup = ("agent", demand.agent)
+    agent = index.lookup(lookup)
+    expansion.lookups.append((lookup, agent))
+    index.bridge(MQTT)
+    expansion.topics.add(MQTT, agent.place, OUT, demand.sent, lambda end, topic: "")
+    return expansion
 
 
 class _Expander:
@@ -216,6 +232,8 @@ class _Expander:
         its_chart = {"name": chart.chart, "version": chart.version, "digest": chart.digest}
         values = render_templates(service.values, {**scope, "chart": its_chart}, self._render)
         release = make_release(agent, name, chart, values, self._index, movable)
+        for heard in heard_topics(values):
+            self._hears(agent, said_as(heard.filter), f"service {service.name}")
         key = release.key
         if key in expansion.releases:
             raise RefusalError("CompositionFailed", f"two services of {expansion.application} make the release {key}")
@@ -226,6 +244,11 @@ class _Expander:
             topics = published_topics(chart, self._deployed(chart, release), self._render)
             self._publish(agent.place, topics, key)
         return release
+
+    def _hears(self, agent: Agent, topic: str, part: str) -> None:
+        """Note that an agent hears a topic, for a part of the application; RefusalError where it may not."""
+        if self._index.fleet.has_borders:
+            self._lookup(("heard", topic, agent.name), part)
 
     def _publish(self, place: str, topics: Iterable[str], publisher: Publisher) -> None:
         """Note what is published on a place; RefusalError when the application has two publishers of a topic there."""
@@ -247,14 +270,17 @@ class _Expander:
 
         def agents(kind: str, name: Any) -> Sequence[Agent]:
             """An agent by name; every agent of a role that has a node."""
-            answer = self._lookup((kind, name), path)
-            return answer if kind == "role" else [answer]
+            return self._lookup((kind, name), path) if kind == "role" else [self._lookup(("end", name), path)]
 
         for passage in passages(link, names, placed, agents, self._render, path):
-            if passage.source:
-                topics.add(link.kind, passage.source.place, OUT, passage.topic, self._of_another_link)
             if passage.target:
-                topics.add(link.kind, passage.target.place, IN, passage.topic, self._of_another_link)
+                self._hears(passage.target, passage.topic["name"], path)
+            ends = [(end, way) for end, way in ((passage.source, OUT), (passage.target, IN)) if end]
+            own = [(end, way) for end, way in ends if end.name in self._index.fleet.agents]
+            if not own:  # nothing of it would be written here
+                self._lookup(("agent", ends[0][0].name), path)
+            for end, direction in own:
+                topics.add(link.kind, end.place, direction, passage.topic, self._of_another_link)
 
     def _of_another_link(self, end: End, topic: str) -> str:
         """The words for who asked for a topic of a bridge already, within one application."""

@@ -19,8 +19,8 @@ from robotkube.registry.catalogue.core.applications import Service
 from robotkube.registry.catalogue.core.catalogue import Catalogue, Pin
 
 Lookup = tuple[Any, ...]
-"""What an expansion looked up in the fleet: ("agent", name), ("role", role), ("agents", role, capabilities),
-("platforms", agent, role)."""
+"""What an expansion looked up in the fleet: ("agent", name), ("end", name), ("heard", topic, listener), ("role", role),
+("agents", role, capabilities), ("platforms", agent, role)."""
 
 _NOWHERE: frozenset[str] = frozenset()
 
@@ -85,6 +85,10 @@ class Index:
         """The fleet's answer; RefusalError as the fleet raises it."""
         if lookup[0] == "agent":
             return self.fleet.agent(lookup[1])
+        if lookup[0] == "end":
+            return self.fleet.link_end(lookup[1])
+        if lookup[0] == "heard":
+            return self.fleet.check_heard(lookup[1], lookup[2])
         if lookup[0] == "role":
             return self.fleet.present(lookup[1])
         if lookup[0] == "agents":

@@ -23,7 +23,8 @@ Schema = Callable[[str, str], Mapping[str, Any] | None]
 @dataclass(frozen=True)
 class Demand:
     """One reason for an application to run: a task, or the initial configuration of one agent. `roles`: those that
-    stand in for the roles of the application's rules (a task that is offloaded)."""
+    stand in for the roles of the application's rules (a task that is offloaded). `sent`: no application, but a topic
+    that the agent is to send, since an agent of another scope hears it."""
 
     key: str
     application: str
@@ -31,6 +32,7 @@ class Demand:
     agent: str = ""
     task: TaskDescription | None = None
     roles: tuple[str, ...] = ()
+    sent: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def requirements(self) -> tuple[GuaranteeRequirement, ...]:
@@ -63,7 +65,9 @@ class Demand:
         """Equal for demands that one set of releases answers."""
         asked = self.task.placement if self.task else None
         parameters = sorted(self.parameters.items(), key=lambda item: item[0])
-        return repr((self.application, self.provides, self.requirements, asked, self.agent, self.roles, parameters))
+        sent = sorted(self.sent.items())
+        own = (self.application, self.provides, self.requirements, asked, self.agent, self.roles)
+        return repr((*own, parameters, sent))
 
 
 @dataclass(frozen=True)

@@ -198,6 +198,18 @@ class Fleet:
             raise RefusalError("NoCapableNode", text)
         return self.home(self.agents[name])
 
+    def link_end(self, name: object) -> Agent:
+        """The agent at an end of a link, where it is named: one that others answer for, too."""
+        return self.agent(name)
+
+    @property
+    def has_borders(self) -> bool:
+        """Whether there are topics that not every agent may hear."""
+        return False
+
+    def check_heard(self, topic: str, listener: str) -> None:
+        """Check that an agent may hear a topic; RefusalError where it may not go over a border."""
+
     def loss(self, agent: str, now_ns: int, node: str = "") -> str:
         """Why nothing of an agent, or of its Node of that name, can be reached for longer than is waited for; empty
         when it can."""

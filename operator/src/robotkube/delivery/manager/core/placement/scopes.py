@@ -11,8 +11,11 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 
+from robotkube.delivery.deployment.core.borders import Borders, scopes_of
+from robotkube.delivery.deployment.core.policies.links import LinkConsents
 from robotkube.delivery.deployment.core.releases import Release, Source
 from robotkube.delivery.manager.core.placement.placement import Agent, Fleet, NodeState
+from robotkube.delivery.tasks.core.task_description import LINK_NOT_CONSENTED
 from robotkube.errors import RefusalError
 
 ALL = "*"
@@ -79,12 +82,21 @@ ANYTHING = Scope()
 
 
 @dataclass(frozen=True)
+class DeclaredManager:
+    """One of the managers of an installation: the name of its account, and its scope."""
+
+    name: str
+    scope: Scope
+
+
+@dataclass(frozen=True)
 class Operators:
     """The scope of a manager, and the scopes declared for operators: namespace of their tasks -> agents and
-    applications (`namespaces` of these is not used)."""
+    applications (`namespaces` of these is not used). `managers` are all of the installation."""
 
     manager: Scope = field(default_factory=Scope)
     declared: Mapping[str, Scope] = field(default_factory=dict)
+    managers: tuple[DeclaredManager, ...] = ()
 
     @property
     def unbounded(self) -> bool:
@@ -101,13 +113,9 @@ class Operators:
                 scope = scope.narrowed(Scope(EVERYTHING, declared.agents, declared.applications))
         return scope
 
-
-@dataclass(frozen=True)
-class DeclaredManager:
-    """One of the managers of an installation: the name of its account, and its scope."""
-
-    name: str
-    scope: Scope
+    def borders(self, consents: LinkConsents) -> Borders:
+        """The borders between the managers' scopes, and what main lets pass them."""
+        return Borders(scopes_of((manager.name, manager.scope.agents) for manager in self.managers), consents)
 
 
 def overlaps(managers: Sequence[DeclaredManager]) -> list[str]:
@@ -199,9 +207,11 @@ def _listed(names: Collection[str]) -> str:
 
 @dataclass(frozen=True)
 class ScopedFleet(Fleet):
-    """The part of a fleet that a scope holds; `outside` are declared agents of other scopes."""
+    """The part of a fleet that a scope holds; `outside` are declared agents of other scopes, by name, `borders` those
+    with their scopes."""
 
-    outside: frozenset[str] = frozenset()
+    outside: Mapping[str, Agent] = field(default_factory=dict)
+    borders: Borders = field(default_factory=Borders)
 
     def agent(self, name: object) -> Agent:
         """A declared agent that has a node, as Fleet.agent; RefusalError(OutsideScope) for one of another scope."""
@@ -214,15 +224,31 @@ class ScopedFleet(Fleet):
             )
         return super().agent(name)
 
+    def link_end(self, name: object) -> Agent:
+        """As Fleet.link_end: also an agent of another scope, whether or not it has a node. Where it is not known whose
+        it is, RefusalError(OutsideScope)."""
+        known = isinstance(name, str) and name in self.outside and name in self.borders.scopes
+        return self.outside[str(name)] if known else self.agent(name)
 
-def scoped_fleet(whole: Fleet, scope: Scope) -> Fleet:
+    @property
+    def has_borders(self) -> bool:
+        """As Fleet.has_borders."""
+        return bool(self.borders.scopes)
+
+    def check_heard(self, topic: str, listener: str) -> None:
+        """As Fleet.check_heard; RefusalError(LinkNotConsented) says which consent main lacks."""
+        if obstacle := self.borders.obstacle(topic, listener):
+            raise RefusalError(LINK_NOT_CONSENTED, obstacle)
+
+
+def scoped_fleet(whole: Fleet, scope: Scope, borders: Borders | None = None) -> Fleet:
     """The agents of `scope` with their nodes; `whole` itself when it holds all of them."""
-    outside = frozenset(name for name in whole.agents if not scope.covers_agent(name))
+    outside = {name: agent for name, agent in whole.agents.items() if not scope.covers_agent(name)}
     if not outside:
         return whole
     agents = {name: agent for name, agent in whole.agents.items() if name not in outside}
     nodes = {name: machines for name, machines in whole.nodes.items() if name not in outside}
-    return ScopedFleet(agents, nodes, outside=outside)
+    return ScopedFleet(agents, nodes, outside=outside, borders=borders or Borders())
 
 
 def own_releases(releases: Mapping[str, Release], agents: Iterable[Agent], scope: Scope) -> dict[str, Release]:
