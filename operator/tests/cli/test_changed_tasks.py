@@ -1,4 +1,4 @@
-"""A mistyped parameter takes away no task that runs, and makes none: `task submit` asks the manager before it writes."""
+"""A mistyped parameter takes away no task that runs, and makes none: `task submit` asks the manager before writing."""
 
 from __future__ import annotations
 
