@@ -1,4 +1,4 @@
-"""A task that runs is not taken away by a mistyped parameter: `task submit` asks the manager before it changes one."""
+"""A mistyped parameter takes away no task that runs, and makes none: `task submit` asks the manager before writing."""
 
 from __future__ import annotations
 
@@ -17,19 +17,22 @@ REFUSED = {"outcome": "Refused", "reason": "InvalidParameters", "message": LIMIT
 
 
 class Running:
-    """A platform with one task; `answer` is the manager's to /explain."""
+    """A platform with one task, or none; `answer` is the manager's to /explain."""
 
-    def __init__(self, answer: Mapping[str, Any] | None) -> None:
+    def __init__(self, answer: Mapping[str, Any] | None, releases: tuple[str, ...] = ("a/b",)) -> None:
         self.answer, self.asked, self.changed = answer, list[Any](), list[Any]()
+        self.present: Mapping[str, Any] | None = {"spec": PRESENT, "status": {"releases": releases}}
+        self.created = 0
 
     def task_writer(self, dry_run: bool) -> Running:
         return self
 
     def create(self, document: Mapping[str, Any]) -> bool:
-        return False
+        self.created += 1
+        return True
 
-    def find(self, namespace: str, name: str) -> Mapping[str, Any]:
-        return {"spec": PRESENT}
+    def find(self, namespace: str, name: str) -> Mapping[str, Any] | None:
+        return self.present
 
     def patch_spec(self, namespace: str, name: str, spec: Mapping[str, Any]) -> None:
         self.changed.append(spec)
@@ -53,12 +56,24 @@ def test_parameters_that_the_manager_refuses_change_nothing() -> None:
         change(platform)
     assert str(refusal.value).startswith(f"InvalidParameters: {LIMIT}. ")
     assert (platform.asked, platform.changed) == ([{"limit": 99}], [])
+    with pytest.raises(RefusalError, match=r"Nothing was changed$"):
+        change(Running(REFUSED, releases=()))
+
+
+def test_nothing_is_submitted_that_would_be_refused_for_its_parameters() -> None:
+    platform = Running(REFUSED)
+    platform.present = None
+    with pytest.raises(RefusalError, match=r"Nothing was submitted$"):
+        change(platform)
+    assert platform.created == 0
+    platform.answer = {"outcome": "Met"}
+    assert (change(platform), platform.created) == ("submitted", 1)
 
 
 @pytest.mark.parametrize("answer", [{"outcome": "Met"}, {**REFUSED, "reason": "NoCapableNode"}, None])
 def test_what_may_run_later_is_written(answer: Mapping[str, Any] | None, capsys: pytest.CaptureFixture[str]) -> None:
     platform = Running(answer)
     assert change(platform) == "changed"
-    said = "" if answer else "changed without asking the manager first: manager: nobody answers\n"
+    said = "" if answer else "the manager was not asked first: manager: nobody answers\n"
     assert capsys.readouterr().err == said
     assert platform.changed == [{**PRESENT, "parameters": {"limit": 99}}]

@@ -15,6 +15,7 @@ from robotkube.cli.tasks import submit, watch
 from robotkube.errors import InputError
 from tests.stages.kubernetes.api_calls import TASKS, Api
 from tests.stages.kubernetes.api_server import ApiServerProcess
+from tests.stages.programs import free_port
 
 pytestmark = pytest.mark.toolchain
 
@@ -65,16 +66,19 @@ def test_submitting(line: Line, api: Api, tmp_path: Path, monkeypatch: pytest.Mo
     file = tmp_path / "task.yaml"
     file.write_text(TASK)
     submit = ("task", "submit", "-f", str(file), "--requester", "tester")
-    assert line.run(*submit, "--dry-run") == (0, "", "would be submitted: cloud-0/from-file\n")
+    code, out, err = line.run(*submit, "--dry-run")
+    assert (code, out, err.splitlines()[1]) == (0, "", "would be submitted: cloud-0/from-file")
     assert line.run("task", "show", "cloud-0/from-file")[0] == 1
     code, out, err = line.run(*submit, "--output", "json")
-    assert (code, json.loads(out), err) == (0, {"task": "cloud-0/from-file"}, "submitted: cloud-0/from-file\n")
+    not_asked, submitted = err.splitlines()
+    assert (code, json.loads(out), submitted) == (0, {"task": "cloud-0/from-file"}, "submitted: cloud-0/from-file")
+    assert not_asked.startswith("the manager was not asked first: no Service manager in namespace robotkube")
     assert line.run(*submit)[2] == "unchanged: cloud-0/from-file\n"
     monkeypatch.setattr("sys.stdin", io.StringIO(TASK))
     words = ("task", "submit", "-f", "-", "--requester", "tester", "--parameter", "vehicles=[vehicle-01]")
     not_asked, changed = line.run(*words, "--policy", "Preempt")[2].splitlines()
     assert changed == "changed: cloud-0/from-file"
-    assert not_asked.startswith("changed without asking the manager first: no Service manager in namespace robotkube")
+    assert not_asked.startswith("the manager was not asked first: ")
     found = json.loads(line.run("task", "show", "cloud-0/from-file", "--output", "json")[1])["spec"]
     assert (found["parameters"], found["priority"], found["conflictPolicy"]) == (
         {"vehicles": ["vehicle-01"]},
@@ -139,6 +143,34 @@ def test_watching(line: Line, api: Api, monkeypatch: pytest.MonkeyPatch) -> None
     assert (code, [row["condition"] for row in found]) == (0, ["Submitted", "Accepted", "Withdrawn"])
     assert (found[1]["status"], found[1]["reason"], found[1]["message"]) == ("True", "Accepted", "yes")
     assert found[2]["time"] > "2026-11-21T10:00:00Z"
+
+
+def test_a_watch_of_what_is_not_there_or_does_not_answer_ends_as_the_table_says(
+    line: Line, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = line.run("task", "watch", "cloud-0/gone", "--seconds", "20")
+    assert (code, out) == (1, "")
+    assert "there is no task cloud-0/gone" in err
+    code, _, err = line.run("task", "watch", "--namespace", "nowhere", "--seconds", "0.2")
+    assert (code, "no task yet in namespace nowhere" in err) == (0, True)
+    silent = {
+        "apiVersion": "v1",
+        "kind": "Config",
+        "current-context": "a",
+        "contexts": [{"name": "a", "context": {"cluster": "a", "user": "a"}}],
+        "clusters": [{"name": "a", "cluster": {"server": f"http://127.0.0.1:{free_port()}"}}],
+        "users": [{"name": "a", "user": {}}],
+    }
+    (tmp_path / "kubeconfig").write_text(json.dumps(silent), encoding="utf-8")
+    assert main(["task", "watch", "--kubeconfig", str(tmp_path / "kubeconfig"), "--seconds", "20"]) == 3
+    assert "robotkube: " in capsys.readouterr().err
+
+
+def test_an_empty_list_says_so(line: Line) -> None:
+    code, out, err = line.run("task", "list", "--namespace", "nowhere")
+    assert (code, len(out.splitlines()), "no tasks found" in err) == (0, 1, True)
+    code, out, err = line.run("task", "list", "--namespace", "nowhere", "--output", "json")
+    assert (code, json.loads(out), "no tasks found" in err) == (0, {"tasks": []}, True)
 
 
 def test_every_change_is_a_line_with_its_own_time() -> None:

@@ -278,9 +278,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"robotkube: {error}", file=sys.stderr)
         return exit_code(error)
     except KeyboardInterrupt:
+        print("robotkube: interrupted", file=sys.stderr)
         return EXIT_REFUSED
     if table is not None:
         write(table, options.output, sys.stdout)
+        if table.is_empty:
+            print(f"robotkube: no {table.name.replace('_', ' ')} found", file=sys.stderr)
         problems = (
             (table.refusal, EXIT_REFUSED),
             (table.unreachable, EXIT_UNREACHABLE),

@@ -34,6 +34,11 @@ class Table:
     text: str = ""
     more: Sequence[Table] = ()
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether it is a list without anything in it."""
+        return not (self.single or self.rows or self.text or any(one.rows for one in self.more))
+
 
 def write(table: Table, form: str, stream: TextIO) -> None:
     """Write the table to `stream` in one of FORMATS."""

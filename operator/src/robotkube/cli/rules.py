@@ -121,6 +121,8 @@ def read_rules_file(
     inner = document.get("detector", document)
     if not isinstance(inner, Mapping) or "rules" not in inner:
         raise DocumentError(str(path), ["rules: is missing; give a file with a list `rules`"])
+    if inner["rules"] == []:
+        raise DocumentError(str(path), ["rules: is empty, so nothing would be looked for; write a rule"])
     chosen = {key: inner[key] for key in _READ if inner.get(key) is not None}
     chosen.setdefault("topics", _topics(inner["rules"], bags.types, complain))
     if not chosen["topics"]:

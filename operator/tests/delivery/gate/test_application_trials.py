@@ -169,6 +169,21 @@ def test_a_link_that_its_chart_takes_otherwise_is_refused_before_it_is_published
     assert tried(tmp_path, chart, linked, {"applications/bridge.yaml": bridge}).problems == ()
 
 
+def test_a_topic_that_only_some_senders_may_write_is_refused_before_it_is_published(tmp_path: Path) -> None:
+    """That the leader follows itself in one of the samples does not make the application right."""
+    topic = {"name": "/vehicles/{{ parameters.leader | ros }}/alarm", "type": "std_msgs/msg/String"}
+    topic |= {"channel": "telemetry", "reliability": "reliable", "durability": "volatile", "depth": 1}
+    (text,) = application({}, provides=["link/mqtt"]).values()
+    bridge = text.replace("name: relaying", "name: bridge").replace("role: cloud", "agent: '{{ agent }}'")
+    vehicles = {"type": "string", "default": "vehicle-00", "examples": ["vehicle-00", "vehicle-01"]}
+    both = {"leader": vehicles, "follower": vehicles}
+    ends: dict[str, Any] = {"from": {"agent": "{{ parameters.follower }}"}, "to": {"role": "cloud"}}
+    linked = application(both, links=[{"kind": "mqtt", **ends, "topics": [topic]}])
+    found = tried(tmp_path, relay(), linked, {"applications/bridge.yaml": bridge})
+    assert "may not write it at the broker" in found.problems[0]
+    assert "'follower': 'vehicle-0" in found.problems[0]
+
+
 def merged(text: str, spec: Mapping[str, Any]) -> dict[str, Any]:
     """A document with more in its spec."""
     document = yaml.safe_load(text)

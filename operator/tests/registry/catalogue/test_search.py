@@ -137,6 +137,8 @@ def test_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) ->
         == "mqtt-bridge"
     )
     assert run(capsys, "graph", "--dot", *sources)[1].startswith("digraph upgrades {")
+    code, out, err = run(capsys, "graph", "nothing", *sources)
+    assert (code, out, "no chart nothing" in err) == (1, "", True)
     assert run(capsys, "show", "nothing", *sources)[0] == 1
     assert run(capsys, "search", "--registry", str(tmp_path / "none"))[0] == 2
 

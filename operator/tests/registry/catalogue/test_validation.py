@@ -221,7 +221,7 @@ def test_every_file_of_a_chart_is_read(folder: Path) -> None:
 def test_a_pattern_is_tried_with_texts_that_fit_it(folder: Path) -> None:
     """Where nothing fits, this alone is said, not what the templates say of a parameter that is missing."""
     sensor = "spec.parameters.properties.sensor"
-    put(PERCEPTION, f"{sensor}.pattern", "^unit-[0-9]{3}$")(folder)
+    both(put(PERCEPTION, f"{sensor}.pattern", "^unit-[0-9]{3}$"), put(PERCEPTION, f"{sensor}.examples", GONE))(folder)
     assert findings(folder) == []
     put(PERCEPTION, f"{sensor}.pattern", "^(?=b)a$")(folder)
     assert [found.key for found in findings(folder)] == [sensor]

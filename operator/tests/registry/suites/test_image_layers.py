@@ -98,6 +98,92 @@ def test_a_sparse_file_is_refused() -> None:
         read_layer(iter([sparse + bytes(1024)]))
 
 
+HIDDEN = entry("usr/bin/hidden", len(ELF)) + ELF.ljust(512, b"\0")
+FIRST, END = entry("etc/hello"), bytes(1024)
+
+
+def changed(header: bytes, **fields: bytes) -> bytes:
+    """A header with other bytes in some of its fields, and a checksum that fits."""
+    block = bytearray(header)
+    for name, value in fields.items():
+        start = PLACES[name]
+        block[start : start + len(value)] = value
+    block[148:156] = b" " * 8
+    block[148:156] = b"%06o\0 " % sum(block)
+    return bytes(block)
+
+
+PLACES = {"name": 0, "uid": 108, "size": 124, "kind": 156, "magic": 257, "major": 329, "prefix": 345, "trailer": 508}
+OLDEST = {"kind": b"\0"}
+
+
+def pax(**records: str) -> bytes:
+    """An extended header alone, without the entry that it speaks of."""
+    return entry("x", headers=records)[:-512]
+
+
+def long_name(name: str, kind: bytes = b"L") -> bytes:
+    return changed(entry("././@LongLink", len(name) + 1), kind=kind) + name.encode().ljust(512, b"\0")
+
+
+TWO_WAYS = {
+    "a number that Python takes for the end": (
+        changed(entry("etc/marker"), major=b"\x81" + bytes(7)) + HIDDEN,
+        "its devmajor",
+    ),
+    "a size of 0 to Python and 512 to Go": (
+        changed(entry("etc/marker"), size=bytes(4) + b"0001000\0") + HIDDEN,
+        "its size",
+    ),
+    "digits with an underscore": (changed(entry("etc/marker"), uid=b"000_000\0"), "its uid"),
+    "a size below zero": (changed(entry("etc/marker"), size=b"\xff" * 12), "its size"),
+    "a checksum that does not hold": (FIRST[:148] + b"000000\0 " + FIRST[156:] + HIDDEN, "bad checksum"),
+    "something behind the end": (END + HIDDEN, "something follows the end"),
+    "one empty block before more": (bytes(512) + HIDDEN, "something follows the end"),
+    "a global header": (changed(pax(size="0"), kind=b"g") + HIDDEN, "its kind"),
+    "a kind that only some know": (changed(entry("etc/marker", 512), kind=b"V") + HIDDEN, "its kind"),
+    "a format that nobody has": (changed(entry("etc/marker"), magic=b"ustar\x0001"), "its format"),
+    "a folder of the oldest kind": (changed(entry("x/", 512), **OLDEST) + HIDDEN, "the oldest kind"),
+    "a folder by its extended name": (pax(path="x/") + changed(entry("x", 512), **OLDEST) + HIDDEN, "the oldest kind"),
+    "a folder by its long name": (long_name("x/") + changed(entry("x", 512), **OLDEST) + HIDDEN, "the oldest kind"),
+    "two extended headers": (pax(path="a") + pax(path="b") + HIDDEN, "several headers"),
+    "two long names": (long_name("a") + long_name("b") + HIDDEN, "several headers"),
+    "a long name in an extended header": (pax(path="a") + long_name("b") + HIDDEN, "several headers"),
+    "an extended header behind a long name": (long_name("b") + pax(path="a") + HIDDEN, "several headers"),
+    "a prefix in GNU's format": (changed(HIDDEN, magic=b"ustar  \0", prefix=b"opt"), "it has a prefix"),
+    "a prefix in star's": (changed(HIDDEN, prefix=b"opt", trailer=b"tar\0"), "it has a prefix"),
+    "an extended size that is none": (pax(size="0x200") + HIDDEN, "a size of '0x200'"),
+}
+
+
+@pytest.mark.parametrize("case", TWO_WAYS)
+def test_what_others_read_in_another_way_is_refused(case: str) -> None:
+    """A file was hidden so from bill and suite and ran on a cluster (the first case)."""
+    data, words = TWO_WAYS[case]
+    with pytest.raises(InputError, match=words):
+        read_layer(pieces(FIRST + data + END))
+
+
+def test_a_header_that_is_cut_off_is_no_end() -> None:
+    with pytest.raises(InputError, match="the header of 'more': it is cut off"):
+        read_layer(pieces(FIRST + HIDDEN + entry("more")[:100]))
+
+
+def test_what_usual_tools_write_is_read() -> None:
+    """Long names and links of GNU, extended headers, times below zero, big numbers, no end at all."""
+    name = "a/" * 90 + "name"
+    data = FIRST + long_name("far/away", b"K") + long_name(name) + HIDDEN
+    data += entry("é" * 80, headers={"mtime": "-1.5", "SCHILY.xattr.security.capability": "x"})
+    data += changed(entry("old"), magic=bytes(8)) + changed(entry("older"), **OLDEST, magic=bytes(8))
+    data += changed(entry("u"), uid=b"\x80" + bytes(6) + b"\x07", magic=b"ustar  \0")
+    data += changed(entry("deep"), prefix=b"usr/share")
+    names = ["etc/hello", name, "é" * 80, "old", "older", "u", "usr/share/deep"]
+    for end in (END, b"", bytes(512), bytes(10240)):
+        layer = read_layer(pieces(data + end))
+        assert [one.path for one in layer.entries] == names
+        assert [one.path for one in layer.entries if one.is_elf] == [name]
+
+
 def test_files_that_are_asked_for_are_kept_by_digest(tmp_path: Path) -> None:
     layer = read_layer(iter([made_layer(FILES)]), Keeping(lambda path, head: path.endswith("script"), tmp_path))
     script = next(one for one in layer.entries if one.path == "usr/bin/script")

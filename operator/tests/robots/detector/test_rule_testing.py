@@ -277,6 +277,8 @@ def test_wrong_rules_are_refused_with_every_problem(
     assert "no topic of the bags fits /ships/{agent}/pose; they have /vehicles/vehicle_00/pose" in err
     code, _, err = said(capsys, "rule", "test", written(tmp_path / "none.yaml", {"a": 1}), str(bag))
     assert (code, "rules: is missing" in err) == (2, True)
+    code, out, err = said(capsys, "rule", "test", written(tmp_path / "empty.yaml", {"rules": []}), str(bag))
+    assert (code, out, "rules: is empty" in err) == (2, "", True)
 
 
 def test_values_of_a_chart_and_start_times_are_understood(

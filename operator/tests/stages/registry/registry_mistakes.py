@@ -152,7 +152,29 @@ FILES = [
     ),
 ]
 
+TAGS = {"type": "array", "minItems": 1, "items": {"type": "string"}}
 REFERENCES = [
+    Mistake(
+        "default that the schema beside it refuses",
+        put(RECORDING, "spec.parameters.properties.tags", {**TAGS, "default": []}),
+        RECORDING,
+        "spec.parameters.properties.tags.default",
+        "[] should be non-empty; correct it",
+    ),
+    Mistake(
+        "example that the schema beside it refuses",
+        put(RECORDING, "spec.parameters.properties.tags", {**TAGS, "examples": [["a"], "b"]}),
+        RECORDING,
+        "spec.parameters.properties.tags.examples[1]",
+        "'b' is not of type 'array'; correct it",
+    ),
+    Mistake(
+        "nothing to run and nothing to carry",
+        both(put(RECORDING, "spec.services", []), put(RECORDING, "spec.links", [])),
+        RECORDING,
+        "spec.services",
+        "neither services nor links",
+    ),
     Mistake(
         "chart",
         put(RECORDING, f"{SERVICE}.chart.name", "gone"),

@@ -42,7 +42,7 @@ def row(task: Mapping[str, Any]) -> dict[str, Any]:
     spec = task.get("spec", {})
     return {
         "task": object_key(task),
-        "application": spec.get("application") or f"a {spec.get('provides')}",
+        "application": spec.get("application") or f"any that provides {spec.get('provides')}",
         "state": state(task),
         "reason": spec.get("reason"),
         "requester": spec.get("requester"),

@@ -84,7 +84,11 @@ def submit_task(options: argparse.Namespace) -> Table | None:
         return None
     if options.wait is None:
         return Table("task", (), [{"task": key}], single=True)
-    table = _wait(platform, key, options.wait)
+    try:
+        table = _wait(platform, key, options.wait)
+    except KeyboardInterrupt:
+        print(f"the task stays; to take it back: robotkube task withdraw {key}", file=sys.stderr)
+        raise
     if table.refusal and options.delete_if_refused:
         _delete_refused(platform, key, is_ours=done == SUBMITTED)
     return table
@@ -173,31 +177,35 @@ def _user() -> str:
 def _write(platform: Platform, document: Mapping[str, Any], dry_run: bool) -> str:
     writer = platform.task_writer(dry_run)
     metadata = document["metadata"]
-    if writer.create(document):
-        return SUBMITTED
     present = writer.find(metadata["namespace"], metadata["name"])
+    if present is None:
+        _check(platform, document, "Nothing was submitted")
+        if writer.create(document):
+            return SUBMITTED
+        present = writer.find(metadata["namespace"], metadata["name"])
     if present is None:
         raise RefusalError("UnknownTask", f"{metadata['name']} was withdrawn meanwhile; submit it again")
     present_spec = present["spec"]
     spec = {**document["spec"], **{key: present_spec[key] for key in ("event", "chain") if key in present_spec}}
     if spec == present_spec:
         return "unchanged"
-    _check_change(platform, {**document, "spec": spec})
+    runs = ", and what runs for the task goes on" if present.get("status", {}).get("releases") else ""
+    _check(platform, {**document, "spec": spec}, f"Nothing was changed{runs}")
     writer.patch_spec(metadata["namespace"], metadata["name"], spec)
     return "changed"
 
 
-def _check_change(platform: Platform, document: Mapping[str, Any]) -> None:
-    """RefusalError when the manager would refuse the parameters: what runs for the task would be withdrawn. Where no
-    manager can be asked, it decides later."""
+def _check(platform: Platform, document: Mapping[str, Any], what_is_so: str) -> None:
+    """RefusalError when the manager would refuse the parameters, with what is so then: of a task that is there, what
+    runs for it would be withdrawn. Where no manager can be asked, it decides later."""
     try:
         answer = platform.explain(document)
     except (InputError, UnavailableError) as error:
-        print(f"changed without asking the manager first: {error}", file=sys.stderr)
+        print(f"the manager was not asked first: {error}", file=sys.stderr)
         return
     if answer["outcome"] == "Refused" and answer["reason"] == INVALID_PARAMETERS:
         words = without_outlook(INVALID_PARAMETERS, answer["message"])
-        raise RefusalError(INVALID_PARAMETERS, f"{words}. Nothing was changed, and what runs for the task goes on")
+        raise RefusalError(INVALID_PARAMETERS, f"{words}. {what_is_so}")
 
 
 def _wait(platform: Platform, key: str, seconds: float) -> Table:

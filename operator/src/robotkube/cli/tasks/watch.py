@@ -34,12 +34,18 @@ def watching(parser: argparse.ArgumentParser) -> None:
 
 
 def watch_tasks(options: argparse.Namespace) -> None:
-    """Write what stands and every change to stdout until the time is over or the named task is gone."""
+    """Write what stands and every change to stdout until the time is over or the named task is gone. RefusalError: it
+    is not there; UnavailableError: the API server does not answer at the beginning."""
     if not 0 < options.seconds <= WATCH_SECONDS_MAX:
         raise InputError(f"--seconds {options.seconds:g}: give seconds above 0, at most {WATCH_SECONDS_MAX:.0f}")
     changed: queue.Queue[tuple[str, Any, Any]] = queue.Queue(CHANGES_MAX)
     namespace = options.task.partition("/")[0] if options.task else options.namespace
-    watch = Platform(options).watch_tasks(lambda *change: changed.put(change), namespace)
+    platform = Platform(options)
+    if options.task:
+        platform.task(options.task)
+    elif not platform.tasks(namespace):
+        print(f"robotkube: no task yet{f' in namespace {namespace}' if namespace else ''}", file=sys.stderr)
+    watch = platform.watch_tasks(lambda *change: changed.put(change), namespace)
     watch.start()
     if not watch.synced.wait(SYNC_SECONDS_MAX):
         print(f"robotkube: {watch.complaint}", file=sys.stderr)

@@ -40,6 +40,7 @@ WRONG = frozenset(
         "UnknownApplication",
         "LinkTypeUnknown",
         "LinkMismatch",
+        "LinkNotPermitted",
     }
 )
 """Refusals that the application is to blame for; others say that the sampled fleet cannot serve a sample."""

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+import os
 import random
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import urllib3
@@ -40,7 +42,9 @@ def api_client(kubeconfig: str | None = None, context: str | None = None, in_clu
         else:
             config.load_kube_config(config_file=kubeconfig, context=context, client_configuration=configuration)
     except config.ConfigException as error:
-        reason = str(error).rstrip(".")
+        named = kubeconfig or os.environ.get("KUBECONFIG") or "~/.kube/config"
+        missing = [file for file in named.split(os.pathsep) if not Path(file).expanduser().is_file()]
+        reason = str(error).rstrip(".") if in_cluster or not missing else f"there is no file {', '.join(missing)}"
         raise InputError(
             f"no access to a cluster: {reason}; run in a pod, or name a kubeconfig in KUBECONFIG"
         ) from error

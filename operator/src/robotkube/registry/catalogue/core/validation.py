@@ -152,13 +152,29 @@ def _application(
         problems = list(_requirement(service.chart, readable))
         yield from ((f"spec.services[{index}].chart{key}", text) for key, text in problems)
         folders[service.name] = _folders(service.chart, readable, sources)
+    if not application.services and not application.links:
+        yield "spec.services", "neither services nor links: a task for it would ask for nothing; add one"
     yield from _bridging(application, readable)
     yield from link_problems(application)
     if broken:
         yield from name_problems(application, tools, wrong)
         return
+    yield from _own_values(application.parameters, tools)
     yield from _named_applications(application.parameters, readable)
     yield from application_problems(application, folders, tools, wrong)
+
+
+def _own_values(parameters: Mapping[str, Any], tools: Tools) -> Iterator[tuple[str, str]]:
+    """Defaults and examples that the parameters' own schema refuses: a task without the parameter would be refused."""
+    shared = {key: parameters[key] for key in ("$defs", "definitions") if key in parameters}
+    for name, schema in parameters.get("properties", {}).items():
+        if not isinstance(schema, Mapping):
+            continue
+        given = [("default", schema["default"])] if "default" in schema else []
+        given += [(f"examples[{index}]", one) for index, one in enumerate(schema.get("examples", ()))]
+        for key, value in given:
+            for problem in tools.validate({**schema, **shared}, value)[:1]:
+                yield f"spec.parameters.properties.{name}.{key}", f"{problem:.300}; correct it, or the schema beside it"
 
 
 def _requirement(wanted: ChartRequirement, readable: _Readable) -> Iterator[tuple[str, str]]:

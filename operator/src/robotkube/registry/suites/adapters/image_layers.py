@@ -20,6 +20,7 @@ from typing import IO, Any
 import zstandard
 
 from robotkube.errors import InputError
+from robotkube.registry.suites.adapters.tar_headers import check_records, strict_header
 from robotkube.registry.suites.core import image_contents as contents
 from robotkube.registry.suites.core.image_contents import Entry, LayerContents
 
@@ -119,9 +120,10 @@ def _read(file: _Forward, keeping: Keeping | None) -> LayerContents:
     entries: list[Entry] = []
     hidden: list[str] = []
     emptied: list[str] = []
-    with tarfile.open(fileobj=file, mode="r:") as tar:  # type: ignore[call-overload]
+    with tarfile.open(fileobj=file, mode="r:", tarinfo=strict_header()) as tar:  # type: ignore[call-overload]
         while (member := tar.next()) is not None:
             tar.members.clear()  # tarfile would keep them all
+            check_records(member)
             path = _path(member.name)
             folder, _, name = path.rpartition("/")
             if name == contents.OPAQUE:
@@ -132,6 +134,9 @@ def _read(file: _Forward, keeping: Keeping | None) -> LayerContents:
                 entries.append(_entry(tar, member, path, keeping))
             if len(entries) + len(hidden) + len(emptied) > ENTRIES_MAX:
                 raise InputError(f"a layer has more than {ENTRIES_MAX} entries; it is not read further")
+    while rest := file.read(BLOCK_BYTES):
+        if rest.count(0) < len(rest):
+            raise InputError("not readable as a layer: something follows the end of the archive; write the layer anew")
     return LayerContents(tuple(entries), tuple(hidden), tuple(emptied))
 
 
@@ -151,8 +156,6 @@ def _entry(tar: tarfile.TarFile, member: tarfile.TarInfo, path: str, keeping: Ke
         return Entry(path, contents.HARD_LINK, target=_path(member.linkname))
     if not member.isreg():
         return Entry(path, contents.OTHER)
-    if member.issparse():
-        raise InputError(f"/{path}: a sparse file, whose bytes are not in the layer; write it out")
     content = tar.extractfile(member)
     assert content is not None  # of a regular file there is one
     return _file(content, path, keeping)

@@ -18,7 +18,7 @@ from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.registry.suites.adapters.image_layers import read_layer
 from robotkube.registry.suites.core.image_contents import Entry, LayerContents
 
-FORMAT = "1"  # part of a file's name: raise it when something else is read of a layer
+FORMAT = "2"  # part of a file's name: raise it when something else is read of a layer
 KEPT_MAX = 64
 FILE_BYTES_MAX = 8 << 20  # of one layer's contents, compressed: larger ones are read again
 
