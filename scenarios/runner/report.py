@@ -76,34 +76,40 @@ def _document(
 ) -> dict[str, Any]:
     latencies = [measures.latencies(encounter) for encounter in met]
     drawings, problems = series(scenario, inputs, met)
-    return _story(scenario, inputs) | _network(inputs, met) | {
-        "scenario": scenario.name,
-        "run": inputs.run,
-        "provider": inputs.provider,
-        "nodes": len(scenario.nodes),
-        "parameters": {name: getattr(scenario.parameters, name) for name in PARAMETERS},
-        "rates_measured": {
-            "pose_hz_min": measures.pose_hz_min(scenario, inputs),
-            "point_cloud_hz_min": measures.point_cloud_hz_min(met),
-        },
-        "age_seconds": {
-            "pose_p50": measures.pose_age_seconds(scenario, inputs, 0.5),
-            "pose_p99": measures.pose_age_seconds(scenario, inputs, 0.99),
-        },
-        "latency_seconds": latencies[0] if latencies else dict.fromkeys(measures.LATENCIES),
-        "latency_quantiles": {name: measures.quantiles(one[name] for one in latencies) for name in measures.LATENCIES},
-        "latency_breakdown_seconds": [measures.breakdown(encounter) for encounter in met],
-        "recorded": measures.recorded(met),
-        "cpu_core_seconds": dict(sorted(inputs.cpu_core_seconds.items())),
-        "set_up_seconds": dict(inputs.set_up_seconds),
-        "audit": [entry.row() for entry in audit.entries(inputs)],
-        "evidence": [entry.row() for entry in evidence.entries(inputs)],
-        "warnings": [*_warnings(inputs), *problems],
-        "expectations": [asdict(row) for row in table],
-        "timeline": [_moment(inputs, moment) for moment in moments],
-        "passed": all(row.passed for row in table),
-        "drawings": drawings,
-    }
+    return (
+        _story(scenario, inputs)
+        | _network(inputs, met)
+        | {
+            "scenario": scenario.name,
+            "run": inputs.run,
+            "provider": inputs.provider,
+            "nodes": len(scenario.nodes),
+            "parameters": {name: getattr(scenario.parameters, name) for name in PARAMETERS},
+            "rates_measured": {
+                "pose_hz_min": measures.pose_hz_min(scenario, inputs),
+                "point_cloud_hz_min": measures.point_cloud_hz_min(met),
+            },
+            "age_seconds": {
+                "pose_p50": measures.pose_age_seconds(scenario, inputs, 0.5),
+                "pose_p99": measures.pose_age_seconds(scenario, inputs, 0.99),
+            },
+            "latency_seconds": latencies[0] if latencies else dict.fromkeys(measures.LATENCIES),
+            "latency_quantiles": {
+                name: measures.quantiles(one[name] for one in latencies) for name in measures.LATENCIES
+            },
+            "latency_breakdown_seconds": [measures.breakdown(encounter) for encounter in met],
+            "recorded": measures.recorded(met),
+            "cpu_core_seconds": dict(sorted(inputs.cpu_core_seconds.items())),
+            "set_up_seconds": dict(inputs.set_up_seconds),
+            "audit": [entry.row() for entry in audit.entries(inputs)],
+            "evidence": [entry.row() for entry in evidence.entries(inputs)],
+            "warnings": [*_warnings(inputs), *problems],
+            "expectations": [asdict(row) for row in table],
+            "timeline": [_moment(inputs, moment) for moment in moments],
+            "passed": all(row.passed for row in table),
+            "drawings": drawings,
+        }
+    )
 
 
 def _story(scenario: Scenario, inputs: RunInputs) -> dict[str, Any]:

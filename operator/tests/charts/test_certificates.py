@@ -117,6 +117,7 @@ def test_the_broker_has_a_certificate_that_every_agent_verifies(stage: Installed
     assert not any("PRIVATE" in text for text in stage.trusted())
 
 
+@pytest.mark.thorough
 def test_upgrades_and_restarts_keep_both_and_a_renewal_the_authority(stage: Installed) -> None:
     stage.kept()
     authority, shown = stage.secret("tls-authority"), stage.secret("broker-tls")

@@ -28,7 +28,10 @@ pytestmark = pytest.mark.toolchain
 PACKAGED = [
     ("apps", "bag-player", "0.1.2"),
     *(("apps", name, "0.2.2") for name in ("mqtt-bridge", "event-detector", "object-detection", "object-tracking")),
-    *(("earlier", name, "0.1.2") for name in ("mqtt-bridge", "event-detector", "object-detection", "object-tracking")),
+    *(
+        pytest.param("earlier", name, "0.1.2", marks=pytest.mark.thorough)
+        for name in ("mqtt-bridge", "event-detector", "object-detection", "object-tracking")
+    ),
 ]
 STATIC = [name for name, mistake in MISTAKES.items() if mistake.suite == "static"]
 OTHERS = [name for name, mistake in MISTAKES.items() if mistake.suite != "static"]
@@ -83,6 +86,7 @@ def test_a_wrong_chart_fails_in_words(read: Read, name: str, tmp_path: Path) -> 
     assert mistake.fix in checks[mistake.check].fix
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", [*OTHERS, *wrong_interfaces.MISTAKES])
 def test_what_other_suites_must_find_passes_this_one(read: Read, name: str, tmp_path: Path) -> None:
     write = wrong_chart if name in MISTAKES else wrong_interfaces.wrong_chart

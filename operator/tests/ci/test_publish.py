@@ -141,6 +141,7 @@ def test_what_was_built_is_published_once_and_its_evidence_kept(
     assert len(publishing.runner.runs) == len(SUITES) * len(first.outcome.charts)
 
 
+@pytest.mark.thorough
 def test_more_charts_come_with_what_they_replace_and_the_applications_they_run(
     publishing: Publishing, access: publish.PublishingAccounts, tmp_path: Path
 ) -> None:
@@ -162,6 +163,7 @@ def test_a_chart_that_is_not_there_is_named(access: publish.PublishingAccounts, 
         publish.publish_to(access, images(tmp_path, b"x"), tmp_path / "kept", extra=["object-detection@0.9.0"])
 
 
+@pytest.mark.thorough
 def test_another_image_gives_other_charts_and_the_old_ones_stay(
     installation: Installation, publishing: Publishing, access: publish.PublishingAccounts, tmp_path: Path
 ) -> None:

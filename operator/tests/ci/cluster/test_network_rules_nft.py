@@ -123,6 +123,7 @@ def test_who_is_outside_and_the_other_way(nodes: RealNodes) -> None:
         assert nodes.reaches(key(pod), HOST, HOST_ADDRESS, at) == out
 
 
+@pytest.mark.thorough
 @settings(max_examples=40)
 @given(random_policies.POLICIES, st.data())
 def test_random_policies_as_they_say(many: RealNodes, policies: list[NetworkPolicy], data: st.DataObject) -> None:

@@ -140,8 +140,8 @@ def upgrade(platform: Platform, chart: str) -> SuiteRequest:
 
 @pytest.fixture(scope="module")
 def results(platform: Platform, tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, SuiteResult]:
-    """Runs that only a cluster can judge, asked for at once, and such whose verdicts tests of the suites in memory show,
-    too."""
+    """Runs that only a cluster can judge, asked for at once, and such whose verdicts tests of the suites in memory
+    show, too."""
     images = suite_namespaces.images()
     stubborn = wrong_chart("ignores-sigterm", tmp_path_factory.mktemp("ignores-sigterm"))
     unready = wrong_chart("never-ready", tmp_path_factory.mktemp("never-ready"))

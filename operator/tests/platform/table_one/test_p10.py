@@ -18,11 +18,15 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import pytest
+
 from scenarios.definition import cloud_topic
 from scenarios.generator.messages import CLOUD_TYPE
 from scenarios.generator.scene import Place
 from tests.stages.platform.table_one import BRIDGE, POSES, Stage
 from tests.stages.ros import lidar_clouds
+
+pytestmark = pytest.mark.thorough
 
 ASKING = "vehicle-02"
 AHEAD = Place(20.0, 4.0, math.pi)  # the vehicle that its lidar sees

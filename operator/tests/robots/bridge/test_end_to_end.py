@@ -136,5 +136,6 @@ def test_every_pose_arrives_once_over_a_restart_of_the_broker(setting: DataPath)
     assert_all_poses(setting, play(setting, {3.0: restart}))
 
 
+@pytest.mark.thorough
 def test_every_pose_arrives_once_over_a_restart_of_the_cloud_bridge(setting: DataPath) -> None:
     assert_all_poses(setting, play(setting, {3.0: setting.restart_cloud_bridge}))
