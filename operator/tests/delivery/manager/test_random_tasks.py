@@ -53,8 +53,9 @@ def try_tasks(stage: Stage, numbers: range) -> dict[str, int]:
 
 
 def test_random_tasks(stage: Stage) -> None:
-    reasons = try_tasks(stage, range(EXAMPLES))
-    assert reasons["InvalidParameters"] > EXAMPLES // 2
+    tasks = max(EXAMPLES, 40)  # of fewer all are refused for one reason
+    reasons = try_tasks(stage, range(tasks))
+    assert reasons["InvalidParameters"] > tasks // 2
     assert len(reasons) >= 2
 
 

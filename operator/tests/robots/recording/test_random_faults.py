@@ -229,8 +229,8 @@ def test_what_is_missing_is_explained_under_random_faults() -> None:
     histories = [check(seed) for seed in SEEDS]
     dropped = [gap.where for h in histories for one in h.examined() if one.audit for gap in one.audit.gaps]
     assert {"queue", "spool", "memory", "recorder"} <= set(dropped), "the faults reached every place that can drop"
-    assert sum(history.kills == 0 for history in histories) > 20
-    assert sum(history.kills > 0 for history in histories) > 20
+    assert sum(history.kills == 0 for history in histories) > len(SEEDS) // 5
+    assert sum(history.kills > 0 for history in histories) > len(SEEDS) // 5
 
 
 def test_what_is_missing_is_explained_where_messages_go_two_ways() -> None:

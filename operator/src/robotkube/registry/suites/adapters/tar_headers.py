@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 import tarfile
+from typing import Self
 
 from robotkube.errors import InputError
 
@@ -39,15 +40,17 @@ class StrictHeader(tarfile.TarInfo):
     before: list[bytes]
 
     @classmethod
-    def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> tarfile.TarInfo:
+    def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> Self:
         """The header in a block. InputError names what is wrong with it; the errors of `tarfile` mean its end."""
         block = bytes(buf)
         if block and block.count(0) < len(block):
             _check(block, cls.before)
         try:
             header = super().frombuf(buf, encoding, errors)
-        except (tarfile.InvalidHeaderError, tarfile.TruncatedHeaderError) as error:
-            raise _refusal(block, str(error)) from error
+        except tarfile.HeaderError as error:
+            if any(block):
+                raise _refusal(block, str(error)) from error
+            raise
         kind = block[156:157]
         cls.before = [*cls.before, kind] if kind in EXTENDING else []
         return header
