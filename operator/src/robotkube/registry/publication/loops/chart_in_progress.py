@@ -84,7 +84,8 @@ class ChartInProgress:
             state = self.states.get(rule.name, "waiting")
             return SuiteReport(rule.name, rule.version, state, note=self.reasons.get(rule.name, ""))
         ended = self.ended.get(rule.name, "")
-        return SuiteReport(rule.name, rule.version, result.outcome, result.seconds, failed=result.failed, ended=ended)
+        checks = {"failed": result.failed, "reserved": result.reserved}
+        return SuiteReport(rule.name, rule.version, result.outcome, result.seconds, **checks, ended=ended)
 
 
 def _kept_seconds(statement: VerifiedStatement) -> float | None:
