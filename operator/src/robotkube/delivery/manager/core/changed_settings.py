@@ -1,7 +1,7 @@
 """Whether changed settings are at work, as far as readiness says it.
 
 A process that watches its settings is not ready while it does not take them, and its kubelet notices that by the
-second probe. A process that began after they were written has read them at its start.
+second probe. A process that began after its release's plan has read them at its start.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import dataclass
 
 from robotkube.delivery.manager.core.observation import ApplicationState, ContainerState, PodState
+from robotkube.delivery.manager.core.updates.verdicts import plan_ns
 
 SECOND_NS = 1_000_000_000
 PROBED_NS = 12 * SECOND_NS
@@ -72,11 +73,9 @@ class SettingsProofs:
 
 
 def _older(application: ApplicationState | None, pods: Iterable[PodState]) -> Iterator[_Running]:
-    """The containers, of those with a readiness probe, that began before Argo CD began to apply the release."""
-    begun = application.operation_ns if application is not None else None
-    if begun is None:
-        return
+    """The containers, of those with a readiness probe, that began before the plan which the release is of."""
+    planned = plan_ns(application.plan) if application is not None else 0
     for pod in pods:
         for container in pod.containers if not pod.deleting else ():
-            if container.probed and container.started_ns is not None and container.started_ns < begun:
+            if container.probed and container.started_ns is not None and container.started_ns < planned:
                 yield pod, container
