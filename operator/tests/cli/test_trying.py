@@ -10,6 +10,9 @@ from typing import Any
 import pytest
 
 from robotkube.cli.main import main
+from robotkube.cli.registry.trying import _table
+from robotkube.registry.evidence.core.statements import Check, SuiteResult
+from robotkube.registry.publication.loops.trying import TriedSuite
 from tests.stages.kubernetes.served_objects import serving
 from tests.stages.registry.publications import write_sources
 
@@ -43,6 +46,15 @@ def run(sources: Path, capsys: pytest.CaptureFixture[str]) -> Try:
 
 def rows(out: str) -> dict[str, dict[str, Any]]:
     return {row["suite"]: row for row in json.loads(out)["suites"]}
+
+
+def test_what_a_passed_check_has_not_shown_is_said() -> None:
+    found = "it opened the topics of two, and its pod stayed; not shown: values.greeting"
+    checks = (Check("stays", True, "as before"), Check("takes-changed-settings", True, found))
+    result = SuiteResult("install", "3", "passed", checks, 2.0)
+    table = _table([TriedSuite("order", "0.1.0", "install", result)], [], [])
+    assert f"\n\ninstall of order, takes-changed-settings: {found}\n" in str(table.text)
+    assert [row.get("reservations") for row in table.rows] == [[{"name": "takes-changed-settings", "found": found}]]
 
 
 @pytest.mark.parametrize("words", [(), ("--quick",)])

@@ -44,6 +44,12 @@ def test_a_refusal_names_suite_check_finding_and_fix() -> None:
     assert "published as" not in text
 
 
+def test_what_a_passed_check_has_not_shown_stands_below_the_suites() -> None:
+    check = Check("takes-changed-settings", True, "a pod that stayed; not shown: values.greeting")
+    text = report(VERIFIED, SuiteReport("install", "2", "passed", 30.0, reserved=(check,)))
+    assert "- install, takes-changed-settings: `a pod that stayed; not shown: values.greeting`\n" in text
+
+
 @pytest.mark.parametrize("state", ["waiting", "queued"])
 def test_suites_that_a_refusal_leaves_out_did_not_run(state: str) -> None:
     suite = SuiteReport("install", "2", state)

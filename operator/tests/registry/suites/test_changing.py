@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
-from robotkube.registry.evidence.core.statements import Check
+from robotkube.registry.evidence.core.statements import Check, SuiteResult
 from robotkube.registry.suites.core.changed_settings import variations
 from robotkube.registry.suites.loops.install import InstallSuite
 from robotkube.registry.suites.loops.installed.changing import NOT_TRIED, SettingsChange
@@ -34,9 +34,13 @@ def sets() -> list[Mapping[str, Any]]:
     ]
 
 
-def entry(settings: str | None, interfaces: Sequence[Any] = INTERFACES) -> Mapping[str, Any]:
+def entry(
+    settings: str | None, interfaces: Sequence[Any] = INTERFACES, also: Sequence[Mapping[str, Any]] = ({}, {})
+) -> Mapping[str, Any]:
+    """The entry with two test sets; `also`: more values of each."""
     said = {} if settings is None else {"settings": settings}
-    return {**ENTRY, "spec": {**ENTRY["spec"], "interfaces": interfaces, "suites": {"sets": sets()}, **said}}
+    tried = [{**one, "values": {**one["values"], **more}} for one, more in zip(sets(), also, strict=True)]
+    return {**ENTRY, "spec": {**ENTRY["spec"], "interfaces": interfaces, "suites": {"sets": tried}, **said}}
 
 
 def chart(restarts: bool) -> Any:
@@ -97,9 +101,28 @@ def test_a_pod_that_stays_goes_on_with_the_settings_before() -> None:
 def test_a_process_that_watches_opens_other_topics_in_the_same_pod() -> None:
     test_namespace = MemoryTestNamespace(runs=[graph(*NEW)], pods_seen=[pods("u1")] * 3)
     checks = judge(test_namespace, "watched", restarts=False)
-    assert checks[CHANGED] == Check(CHANGED, True, "it opened the topics of two, and its pod stayed")
+    seen = "it opened the topics of two, and its pod stayed; shown to be at work: values.topic"
+    assert checks[CHANGED] == Check(CHANGED, True, seen)
     [sent] = [call[1]["files"]["config.json"] for call in test_namespace.calls if call[0] == "run_pod"]
     assert [topic["topic"] for topic in json.loads(sent)["topics"]] == ["/good_day/in", "/good_day/out"]
+
+
+@pytest.mark.parametrize(
+    "also",
+    [({"greeting": "hello"}, {"greeting": "good day"}), ({"greeting": "hello"}, {"greeting": "hello"})],
+    ids=["changed", "the same in every set"],
+)
+def test_values_that_no_topic_shows_are_named(also: Sequence[Mapping[str, Any]]) -> None:
+    """The process read `greeting` once, and the check passed without a word of it."""
+    test_namespace = MemoryTestNamespace(runs=[graph(*NEW)], pods_seen=[pods("u1")] * 3)
+    also = [{**more, "resources": {"requests": {"cpu": "1m"}}} for more in also]
+    check = judge(test_namespace, "watched", restarts=False, also=also)[CHANGED]
+    assert (check.passed, check.found) == (
+        True,
+        "it opened the topics of two, and its pod stayed; shown to be at work: values.topic; "
+        "not shown: values.greeting",
+    )
+    assert SuiteResult("install", "3", "passed", (check,), 1.0).reserved == (check,)
 
 
 @pytest.mark.parametrize(

@@ -246,7 +246,7 @@ def test_a_chart_that_ends_after_some_messages_passes_the_interface_suite_and_no
 @pytest.mark.parametrize(
     ("follows", "words"),
     [
-        (True, "it opened the topics of second, and its pod stayed"),
+        (True, "it opened the topics of second, and its pod stayed; shown to be at work: values.relay.input, values."),
         pytest.param(
             *(False, "still open, as with the settings before: ros in /first/in, ros out /first/out"),
             marks=pytest.mark.thorough,

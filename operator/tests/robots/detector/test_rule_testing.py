@@ -337,7 +337,7 @@ def test_a_rule_that_fails_makes_the_command_fail(
     assert {edge["rule"] for edge in document["events"]} == {"high"}
 
 
-@pytest.mark.parametrize("x", [math.nan, math.inf, -math.inf, 1e300])
+@pytest.mark.parametrize("x", [math.nan, math.inf, -math.inf])
 def test_a_position_that_is_none_changes_nothing_and_is_told(
     x: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -348,7 +348,7 @@ def test_a_position_that_is_none_changes_nothing_and_is_told(
     moment = BEGIN + 5 * SECOND + 7
     fix = ("/vehicles/vehicle_00/pose", moment, pose(x, 0, stamp=moment))
     messages = sorted([*drive(), fix], key=lambda message: message[1])
-    path = written(tmp_path / "rules.yaml", {"rules": [PROXIMITY] if x == 1e300 else [PROXIMITY, fence]})
+    path = written(tmp_path / "rules.yaml", {"rules": [PROXIMITY, fence]})
     code, out, err = said(capsys, "rule", "test", path, str(write(tmp_path / "with", messages)), "-o", "json")
     assert code == 0, err
     assert "1 no_number (" in err

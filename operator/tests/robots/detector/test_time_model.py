@@ -28,7 +28,15 @@ from robotkube.robots.ros.core.ring_buffers import (
 from robotkube.robots.ros.core.source_clocks import DISORDER_NS_MAX
 from robotkube.robots.rules.core import Edge, Message, RuleEngine
 from tests.stages.detector import rule_definitions as definitions
-from tests.stages.detector.random_streams import AGENTS, LATENCY_MAX, Disturbance, disturbances, seeds, stream
+from tests.stages.detector.random_streams import (
+    AGENTS,
+    LATENCY_MAX,
+    Disturbance,
+    disturbances,
+    epochs,
+    seeds,
+    stream,
+)
 from tests.stages.detector.rule_definitions import Step
 from tests.stages.detector.rules import MS, NOW, POSES, SECOND
 from tests.stages.detector.streams import TURN_NS, Sent, document, lived, replayed
@@ -220,9 +228,11 @@ def check_order(sent: Sequence[Sent], run: Run) -> None:
 
 @WAYS
 @settings(max_examples=EXAMPLES // 2)  # each is a stream of 240 messages
-@given(seed=seeds, wrong=disturbances)
-def test_buffer_and_rules_are_what_they_are_defined_to_be(way: Way, seed: int, wrong: list[Disturbance]) -> None:
-    sent = stream(seed, wrong)
+@given(seed=seeds, wrong=disturbances, epoch=epochs)
+def test_buffer_and_rules_are_what_they_are_defined_to_be(
+    way: Way, seed: int, wrong: list[Disturbance], epoch: int
+) -> None:
+    sent = stream(seed, wrong, epoch)
     run = way(sent)
     check_what_rules_get(sent, run)
     check_what_is_overlooked(sent, run)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import random
+import sys
+from collections.abc import Sequence
 from fractions import Fraction
 from itertools import combinations
 from typing import Any
@@ -18,16 +20,26 @@ from tests.stages.examples import EXAMPLES
 
 CASES = [EXAMPLES, pytest.param(4000, marks=pytest.mark.thorough)]
 
+BEGINS = (NOW, NOW, -100 * SECOND, -(2**31) * SECOND)
+"""When sources' clocks begin: today, or before 1970, which a header can say."""
+FAR = (1e13, -1e200, 1e200, sys.float_info.max, -sys.float_info.max)
+"""Positions that nobody has, and a float can say."""
+
 Seen = list[tuple[str, tuple[float, float], int]]
 
 
 def shuffled_poses(chance: random.Random, agents: int, steps: int, width: float) -> Seen:
-    """Positions with stamps that go on, sometimes by little, sometimes by more than poses are compared over."""
+    """Positions, some of them very far out, with stamps that go on, sometimes by little, sometimes by more than poses
+    are compared over."""
+
+    def coordinate() -> float:
+        return chance.choice(FAR) if chance.random() < 0.03 else chance.uniform(-width, width)
+
     stamp, messages = 0, []
     for _ in range(steps):
         stamp += chance.choice((0, 1, 10, 100, 100, 300, 1500)) * MS
         name = f"vehicle-{chance.randrange(agents):02d}"
-        messages.append((name, (chance.uniform(-width, width), chance.uniform(-width, width)), max(stamp, 0)))
+        messages.append((name, (coordinate(), coordinate()), stamp))
     return messages
 
 
@@ -48,7 +60,7 @@ def near_by_definition(seen: Seen, start: float, stop: float, stale: float) -> l
             (one, at), (other, later) = latest[pair[0]], latest[pair[1]]
             if abs(at - later) > stale * SECOND:
                 continue
-            distance = ((one[0] - other[0]) ** 2 + (one[1] - other[1]) ** 2) ** 0.5
+            distance = math.dist(one, other)
             moment = max(at, later, clock.get(pair, 0))
             if pair not in active and distance < start and began.get(pair, -1) < moment:
                 active.add(pair)
@@ -66,6 +78,7 @@ def test_proximity_is_what_comparing_all_pairs_gives(cases: int) -> None:
     for seed in range(cases):
         chance = random.Random(seed)  # noqa: S311 - the same cases every time
         width = chance.choice((5.0, 20.0, 100.0))
+        begin = chance.choice(BEGINS)
         document = {"name": "near", "kind": "proximity", "topic": POSES, "start_distance_m": 8, "stop_distance_m": 11}
         stage = RuleStage({**document, "expire_seconds": 3600})
         # distinct stamps per pair, so that a start and a stop never share one
@@ -76,9 +89,10 @@ def test_proximity_is_what_comparing_all_pairs_gives(cases: int) -> None:
         edges: list[Edge] = []
         for agent, (x, y), stamp in seen:
             name = f"/vehicles/{agent.replace('-', '_')}/pose"
-            edges += stage.engine.observe(Message(name, POSE, NOW + stamp, NOW + stamp, pose(x, y)))
+            edges += stage.engine.observe(Message(name, POSE, begin + stamp, NOW + stamp, pose(x, y)))
         expected = near_by_definition(seen, 8, 11, 1.0)
-        assert sorted((e.edge, e.agents, e.stamp - NOW) for e in edges) == sorted(expected), seed
+        assert sorted((e.edge, e.agents, e.stamp - begin) for e in edges) == sorted(expected), seed
+        assert all(math.isfinite(math.inf if e.distance_m is None else e.distance_m) for e in edges), seed
 
 
 def events_by_definition(
@@ -120,14 +134,15 @@ def test_thresholds_with_timing_are_what_the_definition_gives(cases: int) -> Non
         }
         stage = RuleStage(
             {"name": "high", "kind": "threshold", "topic": NUMBERS, "field": "data", "start_above": 5, "stop_below": 3}
-            | timing
+            | timing,
+            begin=chance.choice(BEGINS),
         )
         stamps = sorted(chance.sample(range(1, 3000), 60))
         values = [(stamp, chance.choice((1.0, 2.9, 3.5, 4.9, 6.0, 7.0, float("nan")))) for stamp in stamps]
         values.append((3500, float("nan")))
         edges = [edge for stamp, value in values for edge in stage.send("vehicle-00", value, stamp / 1000)]
         expected = [(edge, round(stamp / 1000, 3)) for edge, stamp in events_by_definition(values, timing, 5, 3)]
-        assert [(edge, at) for edge, _, at in seconds(edges)] == expected, (seed, timing)
+        assert [(edge, at) for edge, _, at in seconds(edges, stage.begin)] == expected, (seed, timing)
 
 
 def test_the_time_gives_the_same_as_the_next_message() -> None:
@@ -149,7 +164,8 @@ def test_the_time_gives_the_same_as_the_next_message() -> None:
 def test_absence_is_every_gap_longer_than_the_bound(cases: int) -> None:
     for seed in range(cases):
         chance = random.Random(seed)  # noqa: S311 - the same cases every time
-        stage = RuleStage({"name": "lost", "kind": "absence", "topic": NUMBERS, "seconds": 0.5})
+        begin = chance.choice(BEGINS)
+        stage = RuleStage({"name": "lost", "kind": "absence", "topic": NUMBERS, "seconds": 0.5}, begin=begin)
         stamps = sorted(chance.sample(range(0, 9000), chance.randint(2, 40)))
         edges: list[Edge] = []
         now = 0
@@ -166,7 +182,7 @@ def test_absence_is_every_gap_longer_than_the_bound(cases: int) -> None:
             if later is None or later - earlier > 500
             for edge in [(START, earlier + 500), *([(STOP, later)] if later is not None else [])]
         ]
-        assert [(edge, round(at * 1000)) for edge, _, at in seconds(edges)] == expected, seed
+        assert [(edge, round(at * 1000)) for edge, _, at in seconds(edges, begin)] == expected, seed
 
 
 def rates_by_definition(stamps: list[int], end: int, low: float, high: float, window: int) -> list[tuple[str, int]]:
@@ -195,7 +211,8 @@ def test_rates_are_what_counting_gives(cases: int) -> None:
                 "start_below_hz": 8,
                 "stop_above_hz": 12,
                 "window_seconds": 0.5,
-            }
+            },
+            begin=chance.choice(BEGINS),
         )
         stamps, stamp = [], 0
         for _ in range(60):
@@ -204,7 +221,7 @@ def test_rates_are_what_counting_gives(cases: int) -> None:
         edges = [edge for stamp in stamps for edge in stage.send("vehicle-00", 1, stamp / 1000)]
         edges += stage.tick((stamps[-1] + 1100) / 1000)
         expected = rates_by_definition(stamps, stamps[-1] + 1000, 8, 12, 500)
-        assert [(edge, round(at * 1000)) for edge, _, at in seconds(edges)] == expected, seed
+        assert [(edge, round(at * 1000)) for edge, _, at in seconds(edges, stage.begin)] == expected, seed
 
 
 def problems_of_area(*rings: list[list[float]]) -> list[str]:
@@ -273,6 +290,14 @@ def test_rings_that_cross_themselves_are_refused_and_no_others(cases: int) -> No
     assert not problems_of_area([[0, 0], [0.1, 0.1], [0.2, 0.2], [0.3, 0.3], [0.7, 0.7], [0, 1]]), "digits of rounding"
 
 
+def level(name: str, above: float) -> dict[str, Any]:
+    """A rule that says nothing itself: the number is above a bound."""
+    return {
+        "name": name, "kind": "threshold", "topic": NUMBERS, "field": "data", "silent": True,
+        "start_above": above, "stop_below": above,
+    }  # fmt: skip
+
+
 def chains_by_definition(starts: list[tuple[int, str]], parts: list[str], within: int) -> list[int]:
     """The stamps at which a sequence is complete: every way to choose one start per part is tried."""
 
@@ -288,12 +313,6 @@ def chains_by_definition(starts: list[tuple[int, str]], parts: list[str], within
 
 @pytest.mark.parametrize("cases", CASES)
 def test_sequences_are_what_trying_every_choice_gives(cases: int) -> None:
-    def level(name: str, above: float) -> dict[str, Any]:
-        return {
-            "name": name, "kind": "threshold", "topic": NUMBERS, "field": "data", "silent": True,
-            "start_above": above, "stop_below": above,
-        }  # fmt: skip
-
     for seed in range(cases):
         chance = random.Random(seed)  # noqa: S311 - the same cases every time
         parts = [chance.choice("abc") for _ in range(chance.randint(2, 4))]
@@ -311,3 +330,51 @@ def test_sequences_are_what_trying_every_choice_gives(cases: int) -> None:
         expected = chains_by_definition(starts, parts, 2000)
         got = [round(at * 1000) for edge, _, at in seconds(stops) if edge == START]
         assert got == expected, (seed, parts)
+
+
+Part = str | dict[str, str]
+Layer = tuple[str, str, list[Part]]
+
+
+def layers(chance: random.Random) -> list[Layer]:
+    """Combinations of levels and of combinations before them: name, mode and parts, some of them negated."""
+    known, made = list("abc"), []
+    for number in range(chance.randint(2, 6)):
+        mode = chance.choice(("all", "any", "not"))
+        names = chance.sample(known, 1 if mode == "not" else chance.randint(2, 3))
+        parts: list[Part] = [{"not": name} if mode != "not" and chance.random() < 0.5 else name for name in names]
+        made.append((f"k{number}", mode, parts))
+        known.append(f"k{number}")
+    return made
+
+
+def truth(made: Sequence[Layer], value: float) -> dict[str, bool]:
+    """Which of them hold for a number, from the first to the last."""
+    holds = {name: value > low for name, low in zip("abc", (1, 2, 3), strict=True)}
+    for name, mode, parts in made:
+        each = [not holds[part["not"]] if isinstance(part, dict) else holds[part] for part in parts]
+        holds[name] = all(each) if mode == "all" else any(each) if mode == "any" else not each[0]
+    return holds
+
+
+@pytest.mark.parametrize("cases", CASES)
+def test_combinations_of_combinations_are_what_their_formulas_say(cases: int) -> None:
+    for seed in range(cases):
+        chance = random.Random(seed)  # noqa: S311 - the same cases every time
+        made = layers(chance)
+        documents = [
+            {"name": name, "kind": "combination", "agents": ["vehicle-00"], mode: parts[0] if mode == "not" else parts}
+            for name, mode, parts in made
+        ]
+        chance.shuffle(documents)
+        stage = RuleStage(level("a", 1), level("b", 2), level("c", 3), *documents)
+        edges = stage.tick(0)
+        before = dict.fromkeys([name for name, _, _ in made], False)
+        expected = []
+        for at, value in enumerate((0.0, *(chance.choice((0.5, 1.5, 2.5, 3.5)) for _ in range(20)))):
+            edges += stage.send("vehicle-00", value, at) if at else []
+            now = truth(made, value)
+            expected += [(at, name, START if now[name] else STOP) for name in before if now[name] != before[name]]
+            before = {name: now[name] for name in before}
+        got = sorted((round((edge.stamp - NOW) / SECOND), edge.rule, edge.edge) for edge in edges)
+        assert got == sorted(expected), (seed, made)

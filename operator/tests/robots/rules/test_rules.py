@@ -69,6 +69,27 @@ def test_between_the_distances_nothing_happens() -> None:
     assert not stage.send("vehicle-01", (450, 0, 0), 0.9)
 
 
+@pytest.mark.parametrize("far", [1e13, 1e200, 1.7e308])
+def test_whoever_is_very_far_away_is_not_near_any_more(far: float) -> None:
+    """Such a position was taken for none, and the event went on for ever."""
+    stage = RuleStage({**NEAR, "start_distance_m": 0.1})
+    stage.send("vehicle-00", (0, 0, 0), 0)
+    assert [edge.edge for edge in stage.send("vehicle-01", (0, 0, 0), 0.1)] == [START]
+    [edge] = stage.send("vehicle-01", (far, -far, 0), 0.2)
+    assert edge.edge == STOP
+    assert math.isfinite(edge.distance_m or math.inf)
+    assert stage.engine.counts.unseen.totals["no_number"] == 0
+    assert [edge.edge for edge in stage.send("vehicle-00", (far, -far, 0), 0.3)] == [START], "both are there"
+
+
+@pytest.mark.parametrize("begin", [0, -100 * SECOND, -(2**31) * SECOND])
+def test_stamps_before_1970_are_stamps(begin: int) -> None:
+    """Events began and ended at the stamp -1, the later of it and theirs."""
+    stage = RuleStage(HIGH, begin=begin)
+    edges = [edge for at, value in enumerate((1, 9, 9, 1)) for edge in stage.send("vehicle-00", value, at)]
+    assert seconds(edges, begin) == [(START, ("vehicle-00",), 1.0), (STOP, ("vehicle-00",), 3.0)]
+
+
 def test_other_agents_and_stale_poses_are_not_compared() -> None:
     stage = RuleStage(NEAR)
     stage.send("vehicle-00", (0, 0, 0), 0)
@@ -238,6 +259,28 @@ def test_any_and_not() -> None:
     calm = RuleStage(HIGH, {"name": "calm", "kind": "combination", "not": "high", "agents": ["vehicle-00"]})
     assert [(edge.rule, edge.edge) for edge in calm.tick(0)] == [("calm", START)]
     assert sorted((e.rule, e.edge) for e in calm.send("vehicle-00", 9, 1)) == [("calm", STOP), ("high", START)]
+
+
+def test_a_negation_of_a_negation_begins_with_what_its_part_says() -> None:
+    """It began before its part had said that it holds, and ended at the same stamp."""
+    low: dict[str, Any] = {"name": "low", "kind": "combination", "not": "high", "agents": ["vehicle-00"]}
+    stage = RuleStage(HIGH, {**low, "name": "raised", "not": "low"}, low)
+    assert [(edge.rule, edge.edge) for edge in stage.tick(0)] == [("low", START)]
+    assert {(e.rule, e.edge) for e in stage.send("vehicle-00", 9, 1)} == {
+        ("high", START), ("low", STOP), ("raised", START),
+    }  # fmt: skip
+
+
+def test_a_new_combination_begins_with_all_that_its_parts_say() -> None:
+    """Both parts last since before it was there; one after the other, the first of them alone began an event."""
+    much = {**HIGH, "name": "much", "topic": POSES, "field": "pose.position.x"}
+    stage = RuleStage(HIGH, much)
+    stage.send("vehicle-00", 9, 1)
+    stage.send("vehicle-00", (9, 0, 0), 2)
+    only = {"name": "only", "kind": "combination", "all": ["high", {"not": "much"}]}
+    stage.engine.replace(read(HIGH, much, only), NOW + 3 * SECOND)
+    assert stage.tick(3) == []
+    assert [(e.rule, e.edge) for e in stage.send("vehicle-00", (1, 0, 0), 4)] == [("much", STOP), ("only", START)]
 
 
 def test_a_message_that_changes_two_parts_shows_nothing_in_between() -> None:

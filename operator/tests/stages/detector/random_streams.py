@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from hypothesis import strategies as st
 
-from tests.stages.detector.rules import MS, SECOND
+from tests.stages.detector.rules import MS, NOW, SECOND
 from tests.stages.detector.streams import Sent
 
 AGENTS = ("vehicle-00", "vehicle-01", "vehicle-02")
@@ -71,10 +71,13 @@ _anything = st.builds(
 _silences = st.builds(Disturbance, st.just("silence"), st.sampled_from(AGENTS), _steps, st.integers(4, 12), st.just(0))
 disturbances = st.one_of(st.lists(_anything, max_size=4), st.lists(_silences, min_size=2, max_size=9))
 seeds = st.integers(0, 1 << 16)
+epochs = st.sampled_from([0, 0, -NOW - 3600 * SECOND])
+"""How much earlier than today the sources' clocks are: not at all, or before 1970."""
 
 
-def stream(seed: int, wrong: Sequence[Disturbance]) -> list[Sent]:
-    """Three agents at 10 Hz on a line, with these disturbances; no two messages have one stamp but duplicates."""
+def stream(seed: int, wrong: Sequence[Disturbance], epoch: int = 0) -> list[Sent]:
+    """Three agents at 10 Hz on a line, with these disturbances; no two messages have one stamp but duplicates. `epoch`
+    is added to all stamps."""
     chance = random.Random(seed)  # noqa: S311 - the same cases every time
     sent: list[Sent] = []
     for index, agent in enumerate(AGENTS):
@@ -94,7 +97,7 @@ def stream(seed: int, wrong: Sequence[Disturbance]) -> list[Sent]:
                 change = DISTURBANCES["jump" if disturbance.kind == "skew" else disturbance.kind]
                 change(messages[first:], some, disturbance.amount, chance)
         for serial, message in enumerate(messages):
-            message.stamp += serial * 3 + index
+            message.stamp += epoch + serial * 3 + index
         sent += [Sent(agent, m.stamp, m.received, m.x) for m in messages if m.sent]
         sent += [Sent(agent, m.stamp, m.received + 300 * MS, m.x) for m in copies if m.sent]
     return sorted(sent, key=lambda message: message.received)

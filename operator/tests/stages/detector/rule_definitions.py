@@ -79,7 +79,7 @@ def nearness(steps: Sequence[Step], start: float, stop: float, stale: int) -> Ed
             distance = abs(one.x - other.x)
             if (distance < start and pair not in active) or (distance > stop and pair in active):
                 active ^= {pair}
-                floor[pair] = max(one.stamp, other.stamp, floor.get(pair, 0))
+                floor[pair] = max(one.stamp, other.stamp, floor.get(pair, -FOREVER))
                 edges.append(("start" if pair in active else "stop", pair, floor[pair]))
     return edges
 
@@ -92,7 +92,7 @@ def absence(steps: Sequence[Step], bound: int) -> Edges:
     edges: Edges = []
 
     def edge(kind: str, agent: str, stamp: int) -> None:
-        floor[agent] = max(stamp, floor.get(agent, 0))
+        floor[agent] = max(stamp, floor.get(agent, -FOREVER))
         active.symmetric_difference_update({agent})
         edges.append((kind, (agent,), floor[agent]))
 
@@ -137,7 +137,7 @@ def rate(steps: Sequence[Step], low: float, high: float, window: int) -> Edges:
         begun = told >= counted.first + window
         if begun and ((hertz < low and agent not in held) or (hertz > high and agent in held)):
             held.symmetric_difference_update({agent})
-            floor[agent] = max(told, floor.get(agent, 0))
+            floor[agent] = max(told, floor.get(agent, -FOREVER))
             edges.append(("start" if agent in held else "stop", (agent,), floor[agent]))
 
     def leave(agent: str, until: int) -> None:

@@ -87,17 +87,19 @@ def number(value: float) -> bytes:
 
 
 class RuleStage:
-    """An engine; times are given in seconds since NOW, and messages are received when they are measured."""
+    """An engine; times are given in seconds since NOW, and messages are received when they are measured. `begin`: NOW
+    by the clock of the sources."""
 
-    def __init__(self, *documents: dict[str, Any], ask: AskRule | None = None) -> None:
+    def __init__(self, *documents: dict[str, Any], ask: AskRule | None = None, begin: int = NOW) -> None:
         rules = read(*documents)
+        self.begin = begin
         self.engine = RuleEngine(rules, layouts(), "cloud-0", ask) if ask else RuleEngine(rules, layouts(), "cloud-0")
 
     def send(
         self, agent: str, value: float | tuple[float, ...], at: float, received: float | None = None
     ) -> list[Edge]:
         """A number, or a position, of `agent`."""
-        stamp, later = NOW + round(at * SECOND), NOW + round((at if received is None else received) * SECOND)
+        stamp, later = self.begin + round(at * SECOND), NOW + round((at if received is None else received) * SECOND)
         name = agent.replace("-", "_")
         if isinstance(value, tuple):
             message = Message(f"/vehicles/{name}/pose", POSE, stamp, later, pose(*value, stamp=stamp))
@@ -110,6 +112,6 @@ class RuleStage:
         return self.engine.tick(NOW + round(at * SECOND))
 
 
-def seconds(edges: Sequence[Edge]) -> list[tuple[str, tuple[str, ...], float]]:
-    """Edge, agents and stamp in seconds since NOW (whole ms)."""
-    return [(edge.edge, edge.agents, round((edge.stamp - NOW) / SECOND, 3)) for edge in edges]
+def seconds(edges: Sequence[Edge], begin: int = NOW) -> list[tuple[str, tuple[str, ...], float]]:
+    """Edge, agents and stamp in seconds since `begin` (whole ms)."""
+    return [(edge.edge, edge.agents, round((edge.stamp - begin) / SECOND, 3)) for edge in edges]

@@ -129,7 +129,7 @@ def _table(tried: Sequence[TriedSuite], charts: Sequence[ChartSource], applicati
     failed = [f"{one.suite} of {one.chart}" for one in tried if one.outcome == "failed"]
     unfinished = [f"{one.suite} of {one.chart}" for one in tried if one.outcome == "unfinished"]
     table = Table("suites", COLUMNS, rows)
-    text = "\n".join([*lines(table), *_failures(tried), *_not_run(rows), *_without_soak(tried)])
+    text = "\n".join([*lines(table), *_failures(tried), *_reserved(tried), *_not_run(rows), *_without_soak(tried)])
     refusal = f"failed: {', '.join(failed)}" if failed else ""
     unreachable = f"came to no end: {', '.join(unfinished)}" if unfinished else ""
     unproved = _reservation(tried)
@@ -155,6 +155,7 @@ def _row(one: TriedSuite) -> dict[str, Any]:
         "failed": len(failed),
         "seconds": one.result.seconds,
         "failures": failed,
+        "reservations": [{"name": check.name, "found": check.found} for check in one.result.reserved],
     }
 
 
@@ -164,6 +165,13 @@ def _failures(tried: Sequence[TriedSuite]) -> Iterator[str]:
             yield from ("", f"{one.suite} of {one.chart} {one.outcome}:")
             for check in one.result.failed:
                 yield from (f"- {check.name}", f"  found: {check.found}", f"  do: {check.fix}")
+
+
+def _reserved(tried: Sequence[TriedSuite]) -> Iterator[str]:
+    """What checks that passed have not shown."""
+    for one in tried:
+        for check in one.result.reserved if one.result else ():
+            yield from ("", f"{one.suite} of {one.chart}, {check.name}: {check.found}")
 
 
 def _trial(application: str) -> dict[str, Any]:

@@ -100,6 +100,45 @@ def test_what_the_interfaces_do_not_say_is_not_refused() -> None:
         assert isinstance(outcome(composition), Met)
 
 
+LONGEST = f"/{'x' * 246}"
+"""As long as ROS takes it."""
+
+
+def test_a_topic_as_long_as_ros_takes_it_has_one_publisher() -> None:
+    """From 201 characters on, nothing was known of it, and two tasks published on it."""
+    for topic in (f"/agents/{'x' * 205}", LONGEST):
+        first, second = ({"services": [service(name, topic)]} for name in ("one", "other"))
+        refusal = outcome(composed(first, second))
+        assert isinstance(refusal, Refused)
+        assert refusal.reason == "TopicTaken"
+
+
+def test_a_type_that_nothing_is_known_of_does_not_hide_who_publishes() -> None:
+    wrong = {"name": "said", "medium": "ros", "direction": "out", "topic": "{{ values.topic }}"}
+    silent = chart("other", interfaces=[{**wrong, "type": "{{ values.nothing }}", "qos": QOS}])
+    refusal = outcome(composed({"services": [service("one")]}, {"services": [service("other")]}, silent))
+    assert isinstance(refusal, Refused)
+    assert refusal.reason == "TopicTaken"
+
+
+@pytest.mark.parametrize("direction", ["in", "out"])
+def test_a_topic_that_is_too_long_for_ros_is_refused(direction: str) -> None:
+    told = {"name": "said", "medium": "ros", "direction": direction, "topic": "{{ values.topic }}"}
+    long = chart("other", interfaces=[{**told, "type": "std_msgs/msg/String", "qos": QOS}])
+    asked = composed({"services": [service("one")]}, {"services": [service("other", f"{LONGEST}x")]}, long)
+    assert outcome(asked) == Refused(
+        "CompositionFailed",
+        f"topic /{'x' * 59}... of interface said of chart other has 248 characters, and ROS takes 247; give it a "
+        "shorter name",
+    )
+
+
+def test_a_link_that_is_too_long_for_ros_is_refused() -> None:
+    refusal = outcome(composed({}, {"links": [link_to("vehicle-00", f"/agents/vehicle_00/{'x' * 230}")]}))
+    assert isinstance(refusal, Refused)
+    assert "of a link has 249 characters, and ROS takes 247" in refusal.message
+
+
 @pytest.mark.parametrize("topic", ["/tf", "/tf_static", "/diagnostics"])
 def test_topics_that_ros_shares_may_have_many_publishers(topic: str) -> None:
     first, second = ({"services": [service(name, topic)]} for name in ("one", "other"))

@@ -294,4 +294,5 @@ def read_application(item: Object) -> ApplicationState:
         conditions=tuple(text[:CONDITION_CHARACTERS_MAX] for text in conditions[:CONDITIONS_MAX]),
         deleting=bool(metadata.get("deletionTimestamp")),
         health_since=read_time_ns(status.get("health", {}).get("lastTransitionTime")),
+        applied_ns=read_time_ns(operation.get("finishedAt")),
     )

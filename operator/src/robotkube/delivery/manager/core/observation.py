@@ -18,8 +18,8 @@ NOT_COMPARED = "Unknown"
 @dataclass(frozen=True)
 class ApplicationState:
     """The fields of an Argo CD Application that decide. `source`, `compared_source`, `synced_source` are compared as a
-    whole; `plan` is its annotation robotkube.io/plan; `conditions` are its messages for people; `health_since` is in ns
-    since 1970, None when Argo CD does not say it."""
+    whole; `plan` is its annotation robotkube.io/plan; `conditions` are its messages for people. `health_since` and
+    `applied_ns`, the end of its last operation, are in ns since 1970, None when Argo CD does not say it."""
 
     name: str
     plan: str = ""
@@ -32,6 +32,7 @@ class ApplicationState:
     conditions: tuple[str, ...] = ()
     deleting: bool = False
     health_since: int | None = None
+    applied_ns: int | None = None
 
 
 @dataclass(frozen=True)

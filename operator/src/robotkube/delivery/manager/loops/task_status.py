@@ -12,6 +12,7 @@ from typing import Any
 from robotkube.delivery.deployment.core.policies.edits import PATH as EDITS
 from robotkube.delivery.deployment.core.releases import RELEASES, Release, application_name
 from robotkube.delivery.manager.core.broken_links import BrokenLinks, link_faults
+from robotkube.delivery.manager.core.changed_settings import SettingsProofs, refusals
 from robotkube.delivery.manager.core.composition.inputs import Met, Refused
 from robotkube.delivery.manager.core.conflicts import DemandOutcome, Postponed
 from robotkube.delivery.manager.core.decision_history import with_decision
@@ -62,7 +63,8 @@ class Situation:
     `held` are refusals of the gate by task key; `waiting` says which agents hold changes of a task; `proposed` is the
     plan under decision; `committed` finds the newest plan on main that names a task; `edited` says who changed a
     release by hand that stays so, by path; `obstacle` is reason and message of what keeps every plan from main now;
-    `broken` are links that bridges do not carry; `pods` gives those of a release (key)."""
+    `broken` are links that bridges do not carry; `pods` gives those of a release (key); `proofs` says whether changed
+    settings are at work."""
 
     outcomes: Mapping[str, DemandOutcome] = field(default_factory=dict)
     decided: Mapping[str, Asked] = field(default_factory=dict)
@@ -77,6 +79,7 @@ class Situation:
     obstacle: tuple[str, str] | None = None
     broken: BrokenLinks = field(default_factory=dict)
     pods: PodsOf = lambda release: ()
+    proofs: SettingsProofs = field(default_factory=lambda: SettingsProofs(lambda: 0))
 
 
 @dataclass(frozen=True)
@@ -115,14 +118,16 @@ class StatusWriter:
         self._now_ns = now_ns
         self._written: dict[str, _Written] = {}
         self._held_until_ns: int | None = None
+        self._proofs = SettingsProofs(now_ns)
 
     def write(self, situation: Situation) -> None:
         """Bring the statuses of all tasks up to date; mere messages may be held back, see `seconds_until_due`."""
-        situation = replace(situation, broken=self._broken(), pods=self._pods)
+        situation = replace(situation, broken=self._broken(), pods=self._pods, proofs=self._proofs)
         documents = {object_key(d): d for d in self._tasks.tasks() if not is_withdrawn(d)}
         kept = self._written.items()
         self._written = {key: written for key, written in kept if written.identity == _identity(documents.get(key))}
         self._held_until_ns = None
+        self._proofs.begin({release.key for release in situation.present.values()})
         due = [status for key, document in documents.items() if (status := self._due(key, document, situation))]
         if len(due) <= ALONE_MAX:
             for status in due:
@@ -132,7 +137,8 @@ class StatusWriter:
 
     def seconds_until_due(self) -> float | None:
         """The seconds until a status that was held back is to be written; None: there is none."""
-        return None if self._held_until_ns is None else max(self._held_until_ns - self._now_ns(), 0) / 1e9
+        moments = [moment for moment in (self._held_until_ns, self._proofs.until_ns) if moment is not None]
+        return max(min(moments) - self._now_ns(), 0) / 1e9 if moments else None
 
     def _send_together(self, due: Sequence[_Due]) -> None:
         """Write several statuses at once: the API server answers each after milliseconds, and a storm brings
@@ -260,7 +266,7 @@ def derive(
     conditions = [accepted, committed]
     if committed.status == "True":
         faults = link_faults(outcome.links, situation.broken)
-        conditions += [_synced(verdicts), _ready(verdicts, record, faults, situation.pods)]
+        conditions += [_synced(verdicts), _ready(record, faults, _unproven(outcome, verdicts, situation))]
     offloaded = True if key in situation.offloaded else None
     return conditions, {"releases": list(outcome.releases), "queue": None, "offloaded": offloaded, **_facts(record)}
 
@@ -353,13 +359,25 @@ def _synced(verdicts: Mapping[str, ReleaseVerdict]) -> StatusCondition:
     return StatusCondition("Synced", "True", "Applied", "Argo CD compared and applied every release")
 
 
-def _ready(
-    verdicts: Mapping[str, ReleaseVerdict], record: PlanRecord | None, faults: Sequence[str], pods: PodsOf
-) -> StatusCondition:
-    missing = {key: f"{key}: {verdict.message}" for key, verdict in verdicts.items() if not verdict.done}
+def _unproven(outcome: Met, verdicts: Mapping[str, ReleaseVerdict], situation: Situation) -> list[str]:
+    """Why releases are not ready: what is missing, what their pods say, and changed settings that are not shown to be
+    at work. Bridges say themselves what they do not carry."""
+    bridges = {release for release, _, _ in outcome.links}
+    words = []
+    for key, verdict in verdicts.items():
+        application = situation.applications.get(application_name(*key.split("/")))
+        pods = situation.pods(key)
+        if not verdict.done:
+            troubles = [*pod_troubles(pods), *(refusals(application, pods) if verdict.synced else ())]
+            words.append("; ".join([f"{key}: {verdict.message}", *troubles]))
+        elif key not in bridges and (missing := situation.proofs.missing(key, application, pods)):
+            words.append(f"{key}: {missing}")
+    return words
+
+
+def _ready(record: PlanRecord | None, faults: Sequence[str], missing: Sequence[str]) -> StatusCondition:
     if missing:
-        words = ["; ".join([text, *pod_troubles(pods(key))]) for key, text in missing.items()]
-        return StatusCondition("Ready", "False", "Progressing", _bounded("; ".join(words)))
+        return StatusCondition("Ready", "False", "Progressing", _bounded("; ".join(missing)))
     if faults:
         return StatusCondition("Ready", "False", LINK_BROKEN, _bounded("; ".join(faults)))
     if record is not None and record.unreachable:

@@ -103,8 +103,8 @@ REASON_TEXTS: Mapping[str, Mapping[str, str]] = {
     "Synced": {"Applied": "Argo CD compared and applied every release", "Progressing": "it has not yet"},
     "Ready": {
         "Observed": "every release is observed as committed",
-        "Progressing": "not every release is observed yet; the message names what a container ended by, or why it "
-        "cannot begin",
+        "Progressing": "not every release is observed yet; the message names what a container ended by, why it cannot "
+        "begin, or that it does not take its changed settings",
         LINK_BROKEN: "a bridge does not carry a topic of the task's links, in the words of the message",
         OLD_POD_UNREACHABLE: "observed, but for old pods on a dead node that cannot be asked",
     },

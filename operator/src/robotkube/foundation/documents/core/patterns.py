@@ -83,6 +83,8 @@ HOST_LABEL = re.compile(r"[A-Za-z0-9]([-A-Za-z0-9]{0,61}[A-Za-z0-9])?", re.ASCII
 # ROS and MQTT.
 ROS_AGENT = re.compile(r"[a-z][a-z0-9_]{0,62}", re.ASCII)  # an agent's NAME as a part of a ROS name
 ROS_TOPIC = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+", re.ASCII)
+ROS_TOPIC_CHARACTERS_MAX = 247  # RMW_TOPIC_MAX_NAME_LENGTH in rmw/validate_full_topic_name.h: 255, and 8 for prefixes
+MQTT_TOPIC_CHARACTERS_MAX = 255
 ROS_TOPIC_PATTERN = re.compile(  # a topic, or one per agent: {agent} stands for any agent's ROS name
     r"(/([A-Za-z_][A-Za-z0-9_]*|([A-Za-z_][A-Za-z0-9_]*)?\{agent\}[A-Za-z0-9_]*))+", re.ASCII
 )
@@ -91,7 +93,7 @@ ROS_PACKAGE = re.compile(r"[a-z](?:_?[a-z0-9])*", re.ASCII)  # of a new package:
 MESSAGE_FILE = re.compile(r"[A-Z][A-Za-z0-9]*\.msg", re.ASCII)
 ROS_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)  # of a package, message or field in a definition
 EXPRESSION_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
-MQTT_TOPIC = re.compile(r"[^\s+#$/][^\s+#]{0,254}")  # of one topic, without wildcards
+MQTT_TOPIC = re.compile(rf"[^\s+#$/][^\s+#]{{0,{MQTT_TOPIC_CHARACTERS_MAX - 1}}}")  # of one topic, without wildcards
 
 
 def anchored(pattern: re.Pattern[str]) -> str:

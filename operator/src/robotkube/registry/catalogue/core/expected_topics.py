@@ -13,7 +13,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from robotkube.errors import DocumentError
-from robotkube.foundation.documents.core.patterns import COLLECTION, MQTT_TOPIC, ROS_TOPIC, ROS_TYPE, VARIABLE
+from robotkube.foundation.documents.core.patterns import (
+    COLLECTION,
+    MQTT_TOPIC,
+    MQTT_TOPIC_CHARACTERS_MAX,
+    ROS_TOPIC,
+    ROS_TOPIC_CHARACTERS_MAX,
+    ROS_TYPE,
+    VARIABLE,
+)
 from robotkube.foundation.documents.core.value_templates import Render, expand_for_each
 from robotkube.registry.catalogue.core.interface_declarations import DURABILITIES, ENCODINGS, QOS_MAX, RELIABILITIES
 from robotkube.registry.evidence.core.statements import Check
@@ -22,7 +30,7 @@ ROS, MQTT, DATABASE = "ros", "mqtt", "database"
 IN, OUT = "in", "out"
 RKF1, TEXT = "rkf1", "text"
 TOPICS_MAX = 40
-TOPIC_CHARACTERS_MAX = 200
+COLLECTION_CHARACTERS_MAX = 200
 COMMON_TOPICS: Mapping[tuple[str, str], str] = {
     ("/rosout", OUT): "rcl_interfaces/msg/Log",
     ("/parameter_events", OUT): "rcl_interfaces/msg/ParameterEvent",
@@ -34,9 +42,9 @@ need not and cannot declare them."""
 
 _PATTERN = re.compile(rf"\{{{VARIABLE.pattern}\}}", re.ASCII)
 _NAMES = {
-    ROS: (ROS_TOPIC, "a ROS topic such as /vehicles/vehicle_00/pose"),
-    MQTT: (MQTT_TOPIC, "an MQTT topic such as status/vehicle-00, without wildcards"),
-    DATABASE: (COLLECTION, "the name of a collection such as samples"),
+    ROS: (ROS_TOPIC, "a ROS topic such as /vehicles/vehicle_00/pose", ROS_TOPIC_CHARACTERS_MAX),
+    MQTT: (MQTT_TOPIC, "an MQTT topic such as status/vehicle-00, without wildcards", MQTT_TOPIC_CHARACTERS_MAX),
+    DATABASE: (COLLECTION, "the name of a collection such as samples", COLLECTION_CHARACTERS_MAX),
 }
 
 
@@ -121,14 +129,23 @@ def interface_topics(
         yield topic
 
 
+def ros_topic_names(interface: Mapping[str, Any], values: Mapping[str, Any], render: Render) -> list[str]:
+    """The names of the ROS topics that one interface gives, whatever else of it is wrong, and however long they are;
+    DocumentError when they cannot be rendered."""
+    names = [
+        render(interface["topic"], scope)
+        for scope in expand_for_each(interface.get("forEach") or {}, {"values": values}, render)
+    ]
+    return [name for name in names if isinstance(name, str) and ROS_TOPIC.fullmatch(_PATTERN.sub("a", name))]
+
+
 def _topic(topic: Any, medium: str, problems: list[str]) -> str:
-    pattern, description = _NAMES[medium]
-    if (
-        not isinstance(topic, str)
-        or len(topic) > TOPIC_CHARACTERS_MAX
-        or not pattern.fullmatch(_PATTERN.sub("a", topic))
-    ):
+    pattern, description, characters_max = _NAMES[medium]
+    plain = _PATTERN.sub("a", topic) if isinstance(topic, str) else ""
+    if not pattern.fullmatch(plain):
         problems.append(f"is not {description}")
+    elif len(plain) > characters_max:
+        problems.append(f"has {len(plain)} characters, and {medium} takes {characters_max}; give it a shorter name")
     return str(topic)
 
 

@@ -43,6 +43,10 @@ class Check:
     fix: str = ""
 
 
+NOT_SHOWN = "not shown:"
+"""The begin of what a check that passed says of what it has not shown."""
+
+
 @dataclass(frozen=True)
 class SuiteResult:
     """The result of a run of a suite; `unfinished`: it was cut off (time, size, a crash) and proves nothing."""
@@ -57,6 +61,11 @@ class SuiteResult:
     def failed(self) -> tuple[Check, ...]:
         """The checks that failed."""
         return tuple(check for check in self.checks if not check.passed)
+
+    @property
+    def reserved(self) -> tuple[Check, ...]:
+        """The checks that passed, and say what they have not shown."""
+        return tuple(check for check in self.checks if check.passed and NOT_SHOWN in check.found)
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,7 @@ class SuiteReport:
     seconds: float | None = None
     note: str = ""
     failed: tuple[Check, ...] = ()
+    reserved: tuple[Check, ...] = ()
     ended: str = ""
 
 
@@ -124,6 +125,11 @@ def _chart_lines(chart: ChartReport, report: Report) -> list[str]:
     for suite in chart.suites:
         if _is_bad(suite):
             lines += _failure_lines(suite)
+    lines += [
+        f"- {plain(suite.name)}, {plain(check.name)}: {quoted(check.found)}"
+        for suite in chart.suites
+        for check in suite.reserved
+    ]
     lines += [f"- chart: {quoted(f'{artefact.chart}@{artefact.digest}')} ({plain(artefact.platform)})"]
     if chart.evidence:
         lines += [

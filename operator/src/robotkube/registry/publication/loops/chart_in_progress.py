@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from robotkube.foundation.documents.core.digests import sha256
@@ -84,7 +84,8 @@ class ChartInProgress:
             state = self.states.get(rule.name, "waiting")
             return SuiteReport(rule.name, rule.version, state, note=self.reasons.get(rule.name, ""))
         ended = self.ended.get(rule.name, "")
-        return SuiteReport(rule.name, rule.version, result.outcome, result.seconds, failed=result.failed, ended=ended)
+        told = SuiteReport(rule.name, rule.version, result.outcome, result.seconds, ended=ended)
+        return replace(told, failed=result.failed, reserved=result.reserved)
 
 
 def _kept_seconds(statement: VerifiedStatement) -> float | None:

@@ -3,21 +3,28 @@ graph follow what they change, as the entry's `settings` says."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import islice
 from typing import Any
 
+from robotkube.errors import InputError
 from robotkube.registry.catalogue.core.chart_versions import RESTART, WATCHED
 from robotkube.registry.catalogue.core.expected_topics import IN, ROS, ExpectedTopic
+from robotkube.registry.evidence.core.statements import NOT_SHOWN
 from robotkube.registry.suites.core.pod_security import mapping
 from robotkube.robots.ros.core.graph import Endpoint
 
 PLACED_BY = "placement"  # where it runs is no setting: another place is another pod
+NO_SETTINGS = frozenset({PLACED_BY, "global", "robotkube-app", "resources", "terminationGracePeriodSeconds"})
+"""Values of the library chart, which no process reads."""
+PATHS_SHOWN_MAX = 20
 VARIATIONS_MAX = 4
 KINDS_OF_PODS = frozenset({"Deployment"})
 
 Object = Mapping[str, Any]
 Topics = Sequence[ExpectedTopic]
+TopicsOf = Callable[[Mapping[str, Any]], Topics]
+"""The topics that the ROS graph shows with these values; InputError when the values cannot be."""
 
 
 def declared(entry: Mapping[str, Any]) -> str:
@@ -42,6 +49,44 @@ def _replaced(first: Mapping[str, Any], other: Mapping[str, Any], path: str) -> 
                 yield inner, {**first, key: changed}
         elif own != value:
             yield f"{path}.{key}", {**first, key: value}
+
+
+def account(
+    first: Mapping[str, Any], to: Mapping[str, Any], every: Sequence[Mapping[str, Any]], topics: TopicsOf
+) -> str:
+    """The paths of values whose change from `first` to `to` the ROS graph shows by itself, and of the others that a
+    process may read, of all those in `every`."""
+    before = topics(first)
+    changes = _replaced(first, {key: value for key, value in to.items() if key != PLACED_BY}, "values")
+    shown = [path for path, values in changes if _shows(values, before, topics)]
+    known = dict.fromkeys(path for values in every for path in _paths(_settings(values), "values"))
+    others = [path for path in known if not any(f"{path}.".startswith(f"{one}.") for one in shown)]
+    parts = [f"shown to be at work: {_listed(shown)}"] if shown else []
+    return "; ".join([*parts, f"{NOT_SHOWN} {_listed(others)}"] if others else parts)
+
+
+def _shows(values: Mapping[str, Any], before: Topics, topics: TopicsOf) -> bool:
+    try:
+        return differ(before, topics(values))
+    except InputError:  # it goes with another one only
+        return False
+
+
+def _settings(values: Mapping[str, Any]) -> Mapping[str, Any]:
+    return {key: value for key, value in values.items() if key not in NO_SETTINGS}
+
+
+def _paths(values: Mapping[str, Any], path: str) -> Iterator[str]:
+    for key, value in values.items():
+        if isinstance(value, Mapping) and value:
+            yield from _paths(value, f"{path}.{key}")
+        else:
+            yield f"{path}.{key}"
+
+
+def _listed(paths: Sequence[str]) -> str:
+    more = len(paths) - PATHS_SHOWN_MAX
+    return ", ".join([*paths[:PATHS_SHOWN_MAX], *([f"and {more} more"] if more > 0 else [])])
 
 
 def identity(item: Object) -> tuple[str, str]:

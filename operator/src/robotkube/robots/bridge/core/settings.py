@@ -22,7 +22,7 @@ from robotkube.foundation.documents.core.patterns import MQTT_TOPIC, NAME, ROS_T
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.documents.core.yaml_codec import join
 from robotkube.robots.mqtt.core.message_properties import MQTT_PREFIX
-from robotkube.robots.ros.core.topic_patterns import AGENT, TopicPattern
+from robotkube.robots.ros.core.topic_patterns import AGENT, TopicPattern, length_problem
 
 SAFETY = "safety"
 TELEMETRY = "telemetry"
@@ -215,6 +215,8 @@ def _contradictions(topic: BridgedTopic, values: Mapping[str, Any]) -> list[str]
     problems = []
     if topic.name.count(AGENT) > 1:
         problems.append(f"name: {topic.name} holds {AGENT} more than once; name it once")
+    if problem := length_problem(topic.name):
+        problems.append(f"name: {topic.name:.60}... {problem}")
     if topic.general and topic.mqtt_topic:
         problems.append(f"mqtt_topic: goes with one topic only; name the agent in {topic.name}, or leave it out")
     for key in ("inject_timestamp", "mqtt_topic"):

@@ -10,7 +10,7 @@ from typing import Any
 from robotkube.foundation.documents.core.patterns import ROS_TOPIC
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.robots.perception.core.detection import METHODS, ObjectCriteria
-from robotkube.robots.perception.core.settings import note_equal_topics, read_number
+from robotkube.robots.perception.core.settings import note_topics, read_number
 
 RANGE_M_MAX = 500.0
 POINTS_MAX = 100_000
@@ -44,6 +44,6 @@ def read_detection_settings(document: Mapping[str, Any], where: str) -> Detectio
             points_min=int(read_number(reader, values, "pointsMin", 2, POINTS_MAX)),
         ),
     )
-    note_equal_topics(reader, {key: values.get(key) for key in keys[:3]})
+    note_topics(reader, {key: values.get(key) for key in keys[:3]})
     reader.finish()
     return settings

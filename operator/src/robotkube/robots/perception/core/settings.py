@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from robotkube.foundation.documents.core.reader import Reader
+from robotkube.robots.ros.core.topic_patterns import length_problem
 
 
 def read_number(reader: Reader, values: Mapping[str, Any], key: str, least: float, most: float) -> float:
@@ -18,8 +19,10 @@ def read_number(reader: Reader, values: Mapping[str, Any], key: str, least: floa
     return least
 
 
-def note_equal_topics(reader: Reader, topics: Mapping[str, Any]) -> None:
-    """Note a problem for each key whose topic is another key's, too."""
+def note_topics(reader: Reader, topics: Mapping[str, Any]) -> None:
+    """Note a problem for each key whose topic is another key's, too, or too long for ROS."""
     for key, topic in topics.items():
         if topic is not None and list(topics.values()).count(topic) > 1:
             reader.problems.append(f"{key}: {topic} has another use in these settings; give every topic one")
+        if isinstance(topic, str) and (problem := length_problem(topic)):
+            reader.problems.append(f"{key}: {topic:.60}... {problem}")

@@ -9,7 +9,7 @@ from typing import Any
 
 from robotkube.foundation.documents.core.patterns import ROS_TOPIC
 from robotkube.foundation.documents.core.reader import Reader
-from robotkube.robots.perception.core.settings import note_equal_topics, read_number
+from robotkube.robots.perception.core.settings import note_topics, read_number
 from robotkube.robots.perception.core.tracking import MOTIONS, TrackerSettings
 
 GATE_M_MAX = 100.0
@@ -40,6 +40,6 @@ def read_tracking_settings(document: Mapping[str, Any], where: str) -> TrackingS
             gap_seconds=read_number(reader, values, "gapSeconds", 0.01, GAP_SECONDS_MAX),
         ),
     )
-    note_equal_topics(reader, {key: values.get(key) for key in ("objects", "tracks")})
+    note_topics(reader, {key: values.get(key) for key in ("objects", "tracks")})
     reader.finish()
     return settings

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 
-from robotkube.foundation.documents.core.patterns import ROS_AGENT, ROS_TOPIC
+from robotkube.foundation.documents.core.patterns import ROS_AGENT, ROS_TOPIC, ROS_TOPIC_CHARACTERS_MAX
 
 AGENT = "{agent}"
+_IN_BRACES = re.compile(r"\{[^{}]*\}")
 UNREADABLE_TOPIC = "/_unreadable_"
 """The stand-in for a topic whose name could not be read; that problem was reported, and others about it are not."""
 
@@ -19,6 +21,14 @@ def ros_name(agent: str) -> str:
 def agent_name(ros: str) -> str:
     """The agent's name of a part of a ROS name; agents' names have no underscore."""
     return ros.replace("_", "-")
+
+
+def length_problem(topic: str) -> str:
+    """Why ROS does not take a topic of this length, as the end of a sentence; empty when it does. A name in braces,
+    such as that of an agent, counts as one character, the least that can stand for it."""
+    if len(_IN_BRACES.sub("a", topic)) <= ROS_TOPIC_CHARACTERS_MAX:
+        return ""
+    return f"has {len(topic)} characters, and ROS takes {ROS_TOPIC_CHARACTERS_MAX}; give it a shorter name"
 
 
 @dataclass(frozen=True)
@@ -34,6 +44,8 @@ class TopicPattern:
             raise ValueError(f"{self.text} holds {AGENT} more than once; name it once")
         if not ROS_TOPIC.fullmatch(self.text.replace(AGENT, "a")):
             raise ValueError(f"{self.text} is not a full ROS topic name such as /vehicles/{AGENT}/pose")
+        if problem := length_problem(self.text):
+            raise ValueError(f"{self.text:.60}... {problem}")
         before, _, after = self.text.partition(AGENT)
         object.__setattr__(self, "_before", before)
         object.__setattr__(self, "_after", after)

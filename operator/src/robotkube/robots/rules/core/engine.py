@@ -20,7 +20,7 @@ from robotkube.robots.rules.core.conditions.levels import earliest
 from robotkube.robots.rules.core.conditions.pairs import ApartPairs
 from robotkube.robots.rules.core.evaluators import Evaluator
 from robotkube.robots.rules.core.events import STOP, Edge
-from robotkube.robots.rules.core.messages import Message, MessageValues, NoNumberError
+from robotkube.robots.rules.core.messages import NEVER, Message, MessageValues, NoNumberError
 from robotkube.robots.rules.core.specification.specifications import Combination, Rule, paths
 from robotkube.robots.rules.core.unseen import DISORDERED, NO_NUMBER, UNREADABLE, UnseenMessages
 
@@ -29,9 +29,6 @@ if TYPE_CHECKING:
 
 TOPICS_MAX = 20_000
 PROBLEMS_MAX = 1000
-
-NEVER = -(1 << 63)
-"""The stamp before all others."""
 
 SelectValues = Callable[[tuple[Any, ...]], tuple[Any, ...]]
 
@@ -245,15 +242,17 @@ class RuleEngine:
         self._beginning = True
 
     def _begin(self, stamp: int, received: int) -> list[Edge]:
+        """The edges of what holds from the first moment on; a combination knows by then what its parts say."""
         self._beginning = False
-        unpropagated = dict.fromkeys(self._unpropagated)
+        unpropagated = self._unpropagated
         self._unpropagated = []
         edges: list[Edge] = []
-        for evaluator, edge in unpropagated:
-            edges += evaluator.follow([edge])
-        for evaluator in self._evaluators.values():
-            edges += evaluator.begin(stamp, received)
-        return self._propagated(edges, received)
+        for evaluator in self._evaluators.values():  # parts first
+            names = part_names(evaluator)
+            known = [edge for other, edge in unpropagated if other is evaluator]
+            known += [edge for edge in edges if edge.rule in names]
+            edges += evaluator.begin(stamp, received, known)
+        return self._audible(edges)
 
     # messages --------------------------------------------------------------------------------------------------------
 

@@ -104,18 +104,23 @@ class Evaluator:
         self._unseen: set[str] = set()
         self._begun = False
 
-    def begin(self, stamp: int, received: int) -> list[Edge]:
-        """The edges of what holds from the first moment on; only the first call gives any."""
+    def begin(self, stamp: int, received: int, parts: Sequence[Edge]) -> list[Edge]:
+        """The edges of what holds from the first moment on, which the first call gives, and of what its `parts` say
+        by then, of which the order of the past is not known any more."""
+        edges: list[Edge] = []
+        if isinstance(self.condition, CombinationCondition):
+            for together in self.condition.moments(parts, at_once=True):
+                edges += self._apply(self.condition.follow(together))
         if self._begun:
-            return []
+            return edges
         self._begun = True
         if isinstance(self.condition, AbsenceCondition):
             self.condition.begin(stamp, received)
         if isinstance(self.condition, CombinationCondition):
-            return self._apply(self.condition.begin(stamp, received))
+            edges += self._apply(self.condition.begin(stamp, received))
         if isinstance(self.condition, AlwaysCondition) and not self.events.active:
-            return self._apply([MemberChange((self._agent,), RISE, stamp, received)])
-        return []
+            edges += self._apply([MemberChange((self._agent,), RISE, stamp, received)])
+        return edges
 
     def observe(self, reading: MessageValues, edges: list[Edge]) -> None:
         """Add the edges that a message causes to `edges`; ValueError when its fields are not what the rule compares,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from robotkube.robots.rules.core.conditions.levels import GRACE_NS, Timers
 from robotkube.robots.rules.core.events import START, STOP, Edge, event_identity
-from robotkube.robots.rules.core.messages import FALL, RISE, Agents, Member, MemberChange
+from robotkube.robots.rules.core.messages import FALL, NEVER, RISE, Agents, Member, MemberChange
 from robotkube.robots.rules.core.specification.specifications import GROUP, PAIR, Combination, Rule
 
 ADOPTED_NS = 60_000_000_000
@@ -23,7 +23,7 @@ class _State:
 
     since: MemberChange | None = None
     active: Edge | None = None
-    stamp: int = -1
+    stamp: int = NEVER
     started: int | None = None
     stopped: int | None = None
 

@@ -10,6 +10,9 @@ from robotkube.robots.rules.core.events import NOTHING, Cause
 RISE, KEEP, FALL = 1, 0, -1
 """The verdicts of a condition: it holds now, nothing new, it does not hold any more."""
 
+NEVER = -(1 << 63)
+"""The stamp before all others."""
+
 Agents = tuple[str, ...]
 Member = Agents
 """The agents that a condition is about: one, or two in alphabetical order."""

@@ -27,7 +27,7 @@ REASONS: Mapping[str, str] = {
     DISORDERED: "the stamp is older than what rules had looked at already",
     MALFORMED: "the stamp cannot be read",
     UNREADABLE: "the fields that a rule reads cannot be read",
-    NO_NUMBER: "a number that a rule compares is none (NaN), or a position is not finite",
+    NO_NUMBER: "a number that a rule compares is none (NaN), or a position is infinite",
     STARTING: "the detector had not been told yet which events last",
     LOST: "they were pushed out before they were received",
 }

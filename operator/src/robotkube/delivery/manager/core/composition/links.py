@@ -13,6 +13,7 @@ from itertools import product
 from typing import Any
 
 from robotkube.delivery.manager.core.composition.co_location import Instance
+from robotkube.delivery.manager.core.composition.publishers import refuse_too_long
 from robotkube.delivery.manager.core.placement.link_needs import LinkNeed
 from robotkube.delivery.manager.core.placement.placement import Agent
 from robotkube.errors import DocumentError, RefusalError
@@ -146,6 +147,7 @@ def _opening(instance: PlacedInstance | None) -> Opening | None:
 
 def _check(passage: Passage) -> None:
     name = passage.topic["name"]
+    refuse_too_long(str(name), "a link")
     problem = bridged_type(str(passage.topic["type"]))
     if problem:
         raise RefusalError("LinkTypeUnknown", f"topic {name}: {problem}")

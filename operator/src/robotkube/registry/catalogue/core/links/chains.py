@@ -9,7 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 
-from robotkube.foundation.documents.core.patterns import NEW_CHART_NAME, NEW_SERVICE_NAME, ROS_TOPIC
+from robotkube.foundation.documents.core.patterns import (
+    NEW_CHART_NAME,
+    NEW_SERVICE_NAME,
+    ROS_TOPIC,
+    ROS_TOPIC_CHARACTERS_MAX,
+)
 
 SERVICES_MAX = 8
 TOPIC_PATTERN = f"^{ROS_TOPIC.pattern}$"
@@ -58,11 +63,13 @@ spec:
         description: full name of the topic that the first service reads
         type: string
         pattern: "{TOPIC_PATTERN}"
+        maxLength: {ROS_TOPIC_CHARACTERS_MAX}
         default: /{ros_word(application)}/in
       output:
         description: full name of the topic that the last service writes
         type: string
         pattern: "{TOPIC_PATTERN}"
+        maxLength: {ROS_TOPIC_CHARACTERS_MAX}
         default: /{ros_word(application)}/out
   services:
 {"".join(_service(application, services, index) for index in range(len(services)))}{_links(services)}"""

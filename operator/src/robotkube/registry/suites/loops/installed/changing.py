@@ -12,7 +12,7 @@ from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.registry.catalogue.core.chart_versions import RESTART
 from robotkube.registry.catalogue.core.expected_topics import expected_topics
 from robotkube.registry.charts.core.values_schemas import overlay
-from robotkube.registry.evidence.core.statements import Check
+from robotkube.registry.evidence.core.statements import NOT_SHOWN, Check
 from robotkube.registry.suites.core import changed_settings
 from robotkube.registry.suites.core.changed_settings import Topics
 from robotkube.registry.suites.core.requests import TestSet
@@ -23,7 +23,7 @@ from robotkube.registry.suites.loops.observer_pod import ObserverPod
 from robotkube.registry.suites.ports.suites import Object, Subject, SuiteNamespace
 
 TAKES_SETTINGS = "takes-changed-settings"
-NOT_TRIED = "not tried: no value of another test set shows itself in the ROS graph without another pod"
+NOT_TRIED = f"{NOT_SHOWN} no value of another test set shows itself in the ROS graph without another pod"
 FIX = (
     "let the process take changed settings as the entry's `settings` says: `watched`, it follows the ConfigMap that "
     "ROBOTKUBE_CONFIGMAP names and is not ready until the newest are at work; `restart`, the pod is replaced"
@@ -69,9 +69,7 @@ class SettingsChange:
             problem = after.problem or self._problem(test_namespace, change, before)
         except InputError as error:
             return [Check(TAKES_SETTINGS, False, f"its settings could not be changed: {error}", FIX)], installation
-        seen = (
-            "a new pod has them" if change.new_pod else f"it opened the topics of {change.to.name}, and its pod stayed"
-        )
+        seen = "a new pod has them" if change.new_pod else self._seen(subject, sets, change.to)
         check = _refusal(problem, before, test_namespace) if problem else Check(TAKES_SETTINGS, True, seen)
         here = {changed_settings.identity(item) for item in after.objects}
         left = [item for item in installation.objects if changed_settings.identity(item) not in here]
@@ -95,8 +93,16 @@ class SettingsChange:
 
     def _topics(self, subject: Subject, values: Mapping[str, Any]) -> Topics:
         interfaces = (subject.entry.get("spec") or {}).get("interfaces") or []
-        defaults = read_mapping(subject.files.get("values.yaml", b"").decode() or "{}", "values.yaml")
-        return changed_settings.visible(expected_topics(interfaces, overlay(defaults, values), self.render))
+        values = overlay(_defaults(subject), values)
+        return changed_settings.visible(expected_topics(interfaces, values, self.render))
+
+    def _seen(self, subject: Subject, sets: Sequence[TestSet], to: TestSet) -> str:
+        """What topics have shown, and of which values they say nothing."""
+        every = [_defaults(subject), *(test_set.values for test_set in sets)]
+        account = changed_settings.account(
+            sets[0].values, to.values, every, lambda values: self._topics(subject, values)
+        )
+        return "; ".join(filter(None, (f"it opened the topics of {to.name}, and its pod stayed", account)))
 
     def _problem(self, test_namespace: SuiteNamespace, change: OtherSettings, before: Sequence[Object]) -> str:
         """What is wrong with the pods, or with the topics that they have open now; empty when nothing is."""
@@ -106,6 +112,10 @@ class SettingsChange:
         observation = ObserverPod(self.observer, test_namespace, False, None).look(change.after, self.token())
         unseen = changed_settings.unseen(change.before, change.after, observation.endpoints)
         return "\n".join([*unsteady(before, test_namespace.pods()), *unseen])
+
+
+def _defaults(subject: Subject) -> Mapping[str, Any]:
+    return read_mapping(subject.files.get("values.yaml", b"").decode() or "{}", "values.yaml")
 
 
 def _refusal(problem: str, before: Sequence[Object], test_namespace: SuiteNamespace) -> Check:

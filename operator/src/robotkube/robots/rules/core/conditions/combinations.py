@@ -54,12 +54,15 @@ class CombinationCondition(RuleCondition):
             if member not in self.holding and self._holds(member)
         ]
 
-    def moments(self, edges: Sequence[Edge]) -> list[list[Edge]]:
-        """The edges of one message or one tick, grouped by moment: a message that begins one part and ends another must
-        not show what holds in between. Of a sequence the order counts, so each edge is a group."""
+    def moments(self, edges: Sequence[Edge], at_once: bool = False) -> list[list[Edge]]:
+        """The edges of one message or one tick, grouped by moment (`at_once`: all of them are one): a message that
+        begins one part and ends another must not show what holds in between. Of a sequence the order counts, so each
+        edge is a group."""
         ordered = sorted(edges, key=_stamp)
         if self._settings.mode == SEQUENCE:
             return [[edge] for edge in ordered]
+        if at_once:
+            return [ordered] if ordered else []
         return [list(together) for _, together in groupby(ordered, key=_stamp)]
 
     def follow(self, edges: Sequence[Edge]) -> list[MemberChange]:

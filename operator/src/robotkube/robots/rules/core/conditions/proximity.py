@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import floor
@@ -14,11 +15,14 @@ from robotkube.robots.rules.core.events import Cause
 from robotkube.robots.rules.core.messages import FALL, RISE, MemberChange, MessageValues, NoNumberError, pair
 from robotkube.robots.rules.core.specification.specifications import Proximity
 
-POSITION_MAX = 1e12
+FINITE_MAX = sys.float_info.max
 
 _name = attrgetter("agent")
 
 Cell = tuple[int, int]
+
+FAR_CELL: Cell = (0, 0)
+"""The cell of what is so far out that its own has no number."""
 
 
 @dataclass(slots=True)
@@ -52,7 +56,6 @@ class ProximityCondition(RuleCondition):
         self._stale_ns = int(settings.stale_seconds * 1e9)
         self._width = settings.start_distance_m
         self._start_squared = settings.start_distance_m**2
-        self._stop_squared = settings.stop_distance_m**2
         self.apart: ApartPairs = ApartPairs(self._stale_ns)
         self._places: dict[str, _Place] = {}
         self._around: dict[Cell, dict[str, _Place]] = {}
@@ -68,7 +71,7 @@ class ProximityCondition(RuleCondition):
                 known = self._places.get(agent)
                 if known is None:
                     continue
-                if self._comparable(place, known) and _squared(place, known) > self._stop_squared:
+                if self._comparable(place, known) and _distance(place, known) > self._settings.stop_distance_m:
                     changes.append(self._member_change(reading, place, known, FALL))
         return changes
 
@@ -95,10 +98,13 @@ class ProximityCondition(RuleCondition):
 
     def _put(self, reading: MessageValues) -> _Place:
         topic, agent, stamp, received, (x, y, z), _, _ = reading
-        most = POSITION_MAX
+        most = FINITE_MAX
         if not (-most <= x <= most and -most <= y <= most and -most <= z <= most):
             raise NoNumberError(f"{self._settings.position} is no position")
-        cell = floor(x / self._width), floor(y / self._width)
+        try:
+            cell = floor(x / self._width), floor(y / self._width)
+        except OverflowError:  # so far out two numbers are the same, or farther apart than any bound
+            cell = FAR_CELL
         place = self._places.get(agent)
         if place is None:
             place = self._places[agent] = _Place(agent, stamp, received, x, y, z, topic, cell, {})
@@ -135,7 +141,7 @@ class ProximityCondition(RuleCondition):
         return False
 
     def _member_change(self, reading: MessageValues, mine: _Place, theirs: _Place, verdict: int) -> MemberChange:
-        distance = math.sqrt(_squared(mine, theirs))
+        distance = min(_distance(mine, theirs), FINITE_MAX)
         causes = (self._cause(mine), self._cause(theirs))
         stamp = max(mine.stamp, theirs.stamp)
         member = pair(mine.agent, theirs.agent)
@@ -146,8 +152,8 @@ class ProximityCondition(RuleCondition):
         return Cause(place.topic, place.stamp, {f"{path}.x": place.x, f"{path}.y": place.y, f"{path}.z": place.z})
 
 
-def _squared(place: _Place, other: _Place) -> float:
-    return (place.x - other.x) ** 2 + (place.y - other.y) ** 2 + (place.z - other.z) ** 2
+def _distance(place: _Place, other: _Place) -> float:
+    return math.hypot(place.x - other.x, place.y - other.y, place.z - other.z)
 
 
 def _nine(cell: Cell) -> Iterator[Cell]:

@@ -10,7 +10,7 @@ from math import inf
 
 from robotkube.robots.rules.core.conditions.levels import GRACE_NS, RuleCondition, Timers, beyond
 from robotkube.robots.rules.core.events import Cause
-from robotkube.robots.rules.core.messages import FALL, KEEP, RISE, Member, MemberChange, MessageValues
+from robotkube.robots.rules.core.messages import FALL, KEEP, NEVER, RISE, Member, MemberChange, MessageValues
 from robotkube.robots.rules.core.specification.specifications import Absence, Rate
 
 COUNTED_MAX = 20_000
@@ -26,7 +26,7 @@ class _Arrivals:
     stamps: deque[int] = field(default_factory=lambda: deque(maxlen=COUNTED_MAX))
     last: int = 0
     received: int = 0
-    left: int = 0
+    left: int = NEVER
 
     def moment(self, stamp: int) -> int:
         """The moment of `stamp` on this machine's clock."""
