@@ -27,6 +27,8 @@ CLUSTER_KINDS = {"CustomResourceDefinition", "ClusterRole", "ClusterRoleBinding"
 DROPPED_PARTS = ("dex", "notifications")
 DROPPED_KINDS = {"NetworkPolicy"}
 IMAGES = {"quay.io/argoproj/argocd": "argocd", "public.ecr.aws/docker/library/redis": "redis"}
+# Images by digest do not say which Argo CD runs; `robotkube preflight` reads it here.
+VERSION_LABEL = "app.kubernetes.io/version"
 PLACE: Object = {
     "nodeSelector": {"robotkube.io/role": "platform"},
     "tolerations": [{"key": "robotkube.io/role", "operator": "Equal", "value": "platform", "effect": "NoSchedule"}],
@@ -153,6 +155,8 @@ def _kept(document: Object) -> bool:
 def _adapt_workload(workload: Object, images: Mapping[str, str]) -> None:
     name = workload["metadata"]["name"]
     pod = workload["spec"]["template"]["spec"]
+    if version := _version(pod):
+        workload["metadata"].setdefault("labels", {})[VERSION_LABEL] = version
     pod["nodeSelector"] = {**pod.get("nodeSelector", {}), **PLACE["nodeSelector"]}
     pod["tolerations"] = [*pod.get("tolerations", []), *PLACE["tolerations"]]
     pod["dnsConfig"] = NAMES
@@ -165,6 +169,15 @@ def _adapt_workload(workload: Object, images: Mapping[str, str]) -> None:
         _adapt_container(name, container, images)
     if name in TOKEN_WHILE_STARTING:
         _withhold_token(pod, TOKEN_WHILE_STARTING[name])
+
+
+def _version(pod: Object) -> str:
+    """The tag of Argo CD's image in a pod that runs it; empty for another pod."""
+    for container in pod["containers"]:
+        repository, _, tag = container["image"].partition("@")[0].rpartition(":")
+        if IMAGES.get(repository) == "argocd":
+            return str(tag)
+    return ""
 
 
 def _withhold_token(pod: Object, container: str) -> None:

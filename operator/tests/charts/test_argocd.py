@@ -53,6 +53,17 @@ def test_runs_five_workloads_with_our_images_on_the_platform_node(argocd: list[O
             assert {"requests", "limits"} <= set(container["resources"])
 
 
+def test_its_workloads_say_their_version(argocd: list[Object]) -> None:
+    """Images by digest do not; the module's own version is that of its manifests."""
+    version = toolchain.module_dir("github.com/argoproj/argo-cd/v3").name.partition("@")[2]
+    labels = {
+        o["metadata"]["name"]: o["metadata"]["labels"] for o in argocd if o["kind"] in {"Deployment", "StatefulSet"}
+    }
+    said = {name: found.get("app.kubernetes.io/version") for name, found in labels.items()}
+    assert said.pop("argocd-redis") is None
+    assert set(said.values()) == {version}
+
+
 def test_drops_what_is_not_used(argocd: list[Object]) -> None:
     names = " ".join(o["metadata"]["name"] for o in argocd)
     assert "dex" not in names

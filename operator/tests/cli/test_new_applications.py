@@ -12,6 +12,7 @@ import yaml
 
 from robotkube.cli.main import main
 from robotkube.registry.catalogue.core.links.chains import SERVICES_MAX
+from tests.stages.registry.own_image_sources import with_example
 from tests.stages.registry.publications import write_sources
 
 SERVICES = ("order", "plan", "drive")
@@ -49,6 +50,13 @@ def test_each_service_has_a_chart_a_program_a_dockerfile_and_tests(sources: Path
         assert made <= files(chart)
         assert (sources / "registry" / "charts" / f"delivery-{service}" / "0.1.0.yaml").is_file()
     assert "__" not in (sources / "registry" / "applications" / "delivery.yaml").read_text()
+
+
+def test_the_example_in_the_dockerfile_is_root_for_run_and_not_at_the_end(sources: Path) -> None:
+    lines = with_example((sources / "charts" / "apps" / "delivery-plan" / "Dockerfile").read_text()).splitlines()
+    words = [line.split()[0] for line in lines if line and not line.startswith("#")]
+    assert [word for word in words if word in ("USER", "RUN")] == ["USER", "RUN", "USER"]
+    assert [line for line in lines if line.startswith("USER ")] == ["USER 0:0", "USER 10001:10001"]
 
 
 def test_the_services_are_a_chain_from_the_input_to_the_output(sources: Path) -> None:

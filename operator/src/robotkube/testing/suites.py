@@ -231,8 +231,9 @@ class MemoryNamespaceObjects:
             self.pending.append(("DELETED", self.objects.pop(("Pod", name))))
 
     def log(self, pod: str, container: str, bytes_max: int, lines_max: int = 0, previous: bool = False) -> str:
-        """The log that a test decides."""
-        return self.texts.get(pod, "")
+        """The log that a test decides, of `pod`, `pod container` or `pod container before`."""
+        keys = [f"{pod} {container} before"] if previous else [f"{pod} {container}", pod]
+        return next((self.texts[key] for key in keys if key in self.texts), "")
 
     def events(self, kind: str, name: str) -> Sequence[Object]:
         """The events that a test decides."""

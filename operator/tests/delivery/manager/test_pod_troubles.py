@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from robotkube.delivery.deployment.core.releases import application_name
-from robotkube.delivery.manager.adapters.pod_states import placed, read_pod
+from robotkube.delivery.manager.adapters.pod_states import WORDS_CHARACTERS_MAX, placed, read_pod
 from robotkube.delivery.manager.core.pod_troubles import pod_troubles
 from robotkube.delivery.manager.loops.reconciler import APPLICATIONS
 from tests.stages.delivery.manager_in_memory import Stage
@@ -48,6 +48,18 @@ def test_a_container_that_fails_is_named_with_its_cause(
     [said] = pod_troubles([failing])
     assert said.startswith(f"pod watch-1: {words}")
     assert placed(failing) != placed(pod({"running": {}})), "the manager hears of it at once"
+
+
+def test_the_last_words_of_a_container_survive_the_cut() -> None:
+    """As the kubelet has them of its termination message, or of what never began."""
+    told = "Traceback (most recent call last):\n" + "  spin_once(node)\n" * 40 + "KeyError: 'map'\n"
+    [said] = pod_troubles([pod(BACK_OFF, {"terminated": {**ENDED["terminated"], "message": told}}, 2)])
+    assert "(Error, exit code 2), started again 2 times: Traceback (most recent call last): spin" in said
+    assert said.endswith("spin_once(node) KeyError: 'map'")
+    assert len(said) < 2 * WORDS_CHARACTERS_MAX
+    exec_failed = {"reason": "RunContainerError", "message": "x" * 400 + ': exec: "watch": executable file not found'}
+    [said] = pod_troubles([pod({"waiting": exec_failed})])
+    assert said.endswith('exec: "watch": executable file not found)')
 
 
 def test_what_is_on_its_way_or_ready_has_no_trouble() -> None:

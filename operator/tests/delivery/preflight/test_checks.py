@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from robotkube.delivery.preflight.core.argocd import PARTS
 from robotkube.delivery.preflight.core.capacity import requests
 from robotkube.delivery.preflight.core.checks import CHECKS, findings
 from robotkube.delivery.preflight.core.findings import (
@@ -279,6 +280,13 @@ class TestAdmission:
         judges = {"ValidatingAdmissionPolicy": [policy], "ValidatingAdmissionPolicyBinding": [binding]}
         assert finding("admission", judges=judges).result == result
 
+    def test_policies_from_files_are_not_said_to_be_none(self) -> None:
+        """The embedded cluster guards all namespaces by such policies, and admission.enabled is false there."""
+        found = finding("admission")
+        assert found.result == OK
+        assert "not written by the chart here (admission.enabled); 0 judges of others" in found.says
+        assert found.says.endswith("policies that the API server reads from files it shows to nobody")
+
     def test_the_platforms_own_are_there_once_it_is_installed(self) -> None:
         settings = dict(facts()["settings"]) | {"admission": {"enabled": True}}
         assert finding("admission", settings=settings, installed=False).result == OK
@@ -390,6 +398,16 @@ class TestArgoCd:
             part: part_of_argo_cd(part, image) for part in ("application-controller", "applicationset-controller")
         }
         assert finding("argocd", argocd=argo_cd(**parts, **controllers)).result == NOT_CHECKED
+
+    @pytest.mark.parametrize(("label", "result"), [("v3.5.7", OK), ("v2.14.1", NOT_CHECKED), ("new", NOT_CHECKED)])
+    def test_a_version_that_only_labels_say(self, label: str, result: str) -> None:
+        """As the embedded cluster's Argo CD, whose images are named by digest."""
+        present = argo_cd(**{part: part_of_argo_cd(part, "registry.example/argocd@sha256:12") for part in PARTS})
+        for workload in present.workloads:
+            workload["metadata"]["labels"]["app.kubernetes.io/version"] = label
+        found = finding("argocd", argocd=present)
+        assert found.result == result
+        assert ("version 3.5 (label app.kubernetes.io/version) in namespace argocd" in found.says) == (result == OK)
 
 
 class TestRegistries:

@@ -17,6 +17,7 @@ from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.publication.adapters.submission_folders import read_images
 from robotkube.registry.suites.core.image_checks import read_reference
 from tests.stages.platform.running_platform import Platform, eventually
+from tests.stages.registry.own_image_sources import with_example
 from tests.stages.registry.publications import write_sources
 
 NAME = "own-greeter"
@@ -67,6 +68,7 @@ def run_own_image(chart: Path, entry: Path) -> None:
         ),
         chart / "Chart.yaml": (chart / "Chart.yaml").read_text().replace("images: ros", f"images: {NAME}"),
         entry: entry.read_text().replace("images: [ros]", f"images: [{NAME}]"),
+        chart / "Dockerfile": with_example((chart / "Dockerfile").read_text()),
     }
     for path, text in changed.items():
         assert NAME in text, path

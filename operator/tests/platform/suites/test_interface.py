@@ -19,7 +19,7 @@ pytestmark = pytest.mark.thorough
 NAMES = ("undeclared-topic", "wrong-type", "unused-input")
 SECONDS = 240
 VERDICT_SECONDS_MAX = 2 * SECONDS + 60.0
-RULE = SuiteRule("interface", "1", SECONDS)
+RULE = SuiteRule("interface", "2", SECONDS)
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ from robotkube.registry.publication.core.report import (
     MARKER,
     REFUSED,
     REPORT_CHARACTERS_MAX,
+    TEXT_CHARACTERS_MAX,
     UNCHANGED,
     VERIFIED,
     WAITING,
@@ -20,6 +21,7 @@ from robotkube.registry.publication.core.report import (
     report_text,
 )
 from robotkube.registry.publication.core.report_results import ReportedResult, reported_results
+from robotkube.registry.suites.core.pod_descriptions import describe_pod, last_lines
 
 ARTEFACT = Artefact("relay", "0.1.0", "sha256:" + "1" * 64, "linux/amd64")
 PASSED = SuiteReport("static", "1", "passed", 2.13)
@@ -92,6 +94,23 @@ def test_a_report_is_bounded() -> None:
     text = report(REFUSED, *suites, problems=("z" * 5000,) * 500)
     assert len(text) <= REPORT_CHARACTERS_MAX + 20
     assert "and 450 more" in text
+
+
+def test_the_last_line_of_a_log_survives_the_cut() -> None:
+    """What the suites say of a pod that ends again and again: a traceback names its cause in the last line."""
+    line = "NameError: name 'offset' is not defined"
+    probe = 'Readiness probe failed: Get "http://10.244.3.17:8081/readyz": dial tcp 10.244.3.17:8081: connect: refused'
+    log = ["Traceback", *(f"File '/opt/robotkube/lib/python3.11/site-packages/rclpy/{n}.py'" for n in range(11)), line]
+    status = {"name": "main", "restartCount": 2, "state": {"waiting": {"reason": "CrashLoopBackOff"}}}
+    status["lastState"] = {"terminated": {"exitCode": 1, "reason": "Error"}}
+    pod = {"metadata": {"name": "relay-1"}, "status": {"containerStatuses": [status]}}
+    events = [{"type": "Warning", "reason": "Unhealthy", "message": f"{probe} {n}"} for n in range(5)]
+    found = "\n".join(["Deployment relay cannot get ready", *describe_pod(pod, events), *last_lines("\n".join(log))])
+    text = report(REFUSED, SuiteReport("install", "3", "failed", failed=(Check("becomes-ready", False, found, "do"),)))
+    [shown] = [one for one in text.splitlines() if one.startswith("  - found: ")]
+    assert shown.endswith(f"{line}`")
+    assert "container main was restarted 2 times; it ended with 1 (Error)" in shown
+    assert len(shown) <= len("  - found: ``") + TEXT_CHARACTERS_MAX
 
 
 def test_a_terminal_sees_plain_text() -> None:

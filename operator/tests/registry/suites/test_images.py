@@ -197,11 +197,24 @@ def test_an_index_is_read_for_every_platform_of_the_entry(registry: MemoryRegist
     assert "the entry has linux/riscv64" in problems(registry, wanted)["platform"]
 
 
-@pytest.mark.parametrize("user", ["", "0", "0:0", "root", "robot", "10001:users"])
-def test_a_user_that_may_be_root(registry: MemoryRegistry, user: str) -> None:
+ROOT, A_NAME = "it runs as root", "a name proves nothing: its number may be 0"
+
+
+@pytest.mark.parametrize(
+    ("user", "why"),
+    [("", ROOT), ("0", ROOT), ("0:0", ROOT), ("root", ROOT), ("robot", A_NAME), ("10001:users", A_NAME)],
+)
+def test_a_user_that_may_be_root(registry: MemoryRegistry, user: str, why: str) -> None:
     found = problems(registry, subject_of(reference(registry.image(User=user))))
     assert list(found) == ["user"]
-    assert f"user is {user or 'not set'}: " in found["user"]
+    assert f"user is {user or 'not set'}: {why}" in found["user"]
+
+
+def test_who_was_root_for_run_is_told_what_stands_at_the_end(registry: MemoryRegistry) -> None:
+    subject = subject_of(reference(registry.image(User="0:0")))
+    suite = ImagesSuite(registry, KeptLayers(registry.kept_layers), HOST, Jinja2Templates().render)
+    [check] = [one for one in suite.run(subject) if one.name == "user"]
+    assert check.fix == "end its Dockerfile with USER 10001:10001, behind every RUN that USER 0:0 stands before"
 
 
 def test_labels_that_are_missing(registry: MemoryRegistry) -> None:

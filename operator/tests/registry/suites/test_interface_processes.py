@@ -41,6 +41,7 @@ pytestmark = pytest.mark.processes
 
 MESSENGER = REPOSITORY / "operator" / "tests" / "stages" / "ros" / "text_messenger.py"
 HEALTH_PORT = '"", 8081'
+READY = "    ready.set()\n"
 FOLLOWING = "        settings.apply_changes()\n"
 
 Render = Callable[[Mapping[str, Any], str], list[dict[str, Any]]]
@@ -241,6 +242,27 @@ def test_a_chart_that_ends_after_some_messages_passes_the_interface_suite_and_no
     [check] = Soak("observer", render, lambda: secrets.token_hex(8), 6).checks(tested, namespace, first)
     assert (check.name, check.passed) == ("keeps-running", False)
     assert "pod relay: container relay ended with 3 (Error)" in check.found
+
+
+NO_NAME = "    node.create_timer(1.0, lambda: offset + 1)\n"
+
+
+def test_a_chart_that_ends_a_second_after_its_start(namespace: LocalTestNamespace, folder: Path) -> None:
+    new_application("relay", "relay/text", folder / "charts", folder / "registry")
+    chart = folder / "charts" / "relay"
+    node = chart / "files" / "node.py"
+    text = node.read_text()
+    assert text.count(READY) == 1
+    node.write_text(text.replace(READY, READY + NO_NAME))
+    entry = yaml.safe_load((folder / "registry/charts/relay/0.1.0.yaml").read_text())
+    del entry["spec"]["suites"]["sets"][1:]
+    bounds = ObserverTimeouts(settle=1.0, answer=1.0, watch=3.0)
+    checks = suite(bounds).run(subject(chart, entry, relay(chart)), namespace)
+    runs, keeps_running = [check for check in checks if check.name.startswith("set first: ")][:2]
+    assert (runs.name, runs.passed) == ("set first: runs", True)
+    assert (keeps_running.name, keeps_running.passed) == ("set first: keeps running", False)
+    assert keeps_running.found.startswith("pod relay: container relay ended with 1 (Error)\n")
+    assert keeps_running.found.endswith("NameError: name 'offset' is not defined")
 
 
 @pytest.mark.parametrize(

@@ -173,13 +173,53 @@ def test_what_is_said_of_a_pod_that_ends_again_and_again() -> None:
     assert clock.now < 2
     assert words.splitlines() == [
         "Deployment greeter cannot get ready",
-        "pod greeter-1: container main waits: CrashLoopBackOff: back-off 10s restarting failed container",
         "pod greeter-1: container main was restarted 2 times; it ended with 1 (Error)",
+        "pod greeter-1: container main waits: CrashLoopBackOff",
         "event BackOff: Back-off restarting",
         "last lines of its log:",
         "  starting",
         "  no greeting given",
     ]
+
+
+def test_the_log_of_what_is_in_trouble_comes_last() -> None:
+    """Texts are cut in their middle, so what stands last is what everybody reads."""
+    api = MemoryNamespaceObjects(start=lambda pod: ending(2))
+    test_namespace, _ = make_namespace(api)
+    test_namespace.apply([deployment()])
+    sidecar = {"name": "a-sidecar", "ready": True, "state": {"running": {}}}
+    api.objects["Pod", "greeter-1"]["status"]["containerStatuses"].append(sidecar)
+    api.objects["Pod", "greeter-2"] = {**api.objects["Pod", "greeter-1"], "status": dict(RUNNING)}
+    api.objects["Pod", "greeter-2"]["metadata"] = {**api.objects["Pod", "greeter-1"]["metadata"], "name": "greeter-2"}
+    api.texts |= {"greeter-1 main": "no map", "greeter-1 a-sidecar": "proxy is up\n", "greeter-2": "good day"}
+    assert test_namespace.wait_ready("Deployment", "greeter", 90).splitlines()[-5:] == [
+        "last lines of its log:",
+        "  good day",
+        "last lines of its log:",
+        "  proxy is up",
+        "  no map",
+    ]
+
+
+def test_two_pods_that_end_alike_say_it_once() -> None:
+    api = MemoryNamespaceObjects(start=lambda pod: ending(2))
+    test_namespace, _ = make_namespace(api)
+    test_namespace.apply([deployment()])
+    other = api.objects["Pod", "greeter-1"]
+    api.objects["Pod", "greeter-2"] = {**other, "metadata": {**other["metadata"], "name": "greeter-2"}}
+    api.texts |= {"greeter-1": "twice\ntwice\nno map\n", "greeter-2": "twice\ntwice\nno map\n"}
+    lines = test_namespace.wait_ready("Deployment", "greeter", 90).splitlines()
+    assert lines[-4:] == ["last lines of its log:", "  twice", "  twice", "  no map"]
+    assert lines.count("  no map") == 1
+
+
+def test_the_log_of_a_container_that_runs_again_is_that_of_its_end() -> None:
+    status = {"name": "main", "ready": True, "restartCount": 1, "state": {"running": {}}}
+    api = MemoryNamespaceObjects(start=lambda pod: {**RUNNING, "containerStatuses": [status]})
+    test_namespace, _ = make_namespace(api)
+    test_namespace.apply([deployment()])
+    api.texts |= {"greeter-1": "starting", "greeter-1 main before": "no map"}
+    assert test_namespace.logs("greeter-1") == "no map\n"
 
 
 @pytest.mark.parametrize("reason", ["ImagePullBackOff", "InvalidImageName", "CreateContainerConfigError"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from pathlib import Path
 
@@ -26,3 +27,10 @@ def write_folder(folder: Path, dockerfile: str = DOCKERFILE, mode: int = 0o644, 
     for path in (folder / "files" / "answers.py", folder / "tool"):
         os.utime(path, (seconds, seconds))
     return folder
+
+
+def with_example(dockerfile: str) -> str:
+    """The Dockerfile of `registry new` with what it shows as an example."""
+    shown = re.sub(r"^# (USER|RUN) ", r"\1 ", dockerfile, flags=re.MULTILINE)
+    assert shown != dockerfile
+    return shown

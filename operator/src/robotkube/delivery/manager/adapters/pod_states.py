@@ -7,11 +7,12 @@ from datetime import UTC, datetime
 from typing import Any
 
 from robotkube.delivery.manager.core.observation import ContainerState, PodState
+from robotkube.foundation.documents.core.shortening import shortened
 from robotkube.foundation.kubernetes.adapters.client import Object
 
 RELEASE_LABEL = "app.kubernetes.io/instance"
 SAYS_NOTHING = frozenset({"", "ContainerCreating", "PodInitializing", "CrashLoopBackOff"})  # of the last, why it ended
-WAITING_CHARACTERS_MAX = 300
+WORDS_CHARACTERS_MAX = 300  # of a kubelet or a container
 
 
 def read_time(text: str) -> float:
@@ -62,6 +63,7 @@ def _containers(spec: Object, status: Object) -> tuple[ContainerState, ...]:
                 ended_ns=read_time_ns(ended.get("finishedAt")) if own else None,
                 started_ns=read_time_ns(one.get("state", {}).get("running", {}).get("startedAt")),
                 ended_why=f"{ended.get('reason', '')}, exit code {ended.get('exitCode')}" if own else "",
+                last_words=_words(ended) if own else "",
                 waiting=_waiting(one.get("state", {}).get("waiting", {})),
             )
         )
@@ -71,8 +73,12 @@ def _containers(spec: Object, status: Object) -> tuple[ContainerState, ...]:
 def _waiting(state: Object) -> str:
     """Why a container cannot begin; empty while it is only on its way."""
     reason = str(state.get("reason", ""))
-    message = str(state.get("message", ""))[:WAITING_CHARACTERS_MAX]
-    return "" if reason in SAYS_NOTHING else ": ".join(word for word in (reason, message) if word)
+    return "" if reason in SAYS_NOTHING else ": ".join(filter(None, (reason, _words(state))))
+
+
+def _words(state: Object) -> str:
+    """The message of a container's state: the kubelet's, or what the container left as its termination message."""
+    return shortened(" ".join(str(state.get("message") or "").split()), WORDS_CHARACTERS_MAX)
 
 
 def placed(pod: PodState | None) -> Any:
@@ -82,7 +88,9 @@ def placed(pod: PodState | None) -> Any:
         return None
     troubled = (one for one in pod.containers if one.ended_why or one.waiting)
     failing = tuple(
-        ContainerState(one.name, restarts=one.restarts, ended_why=one.ended_why, waiting=one.waiting)
+        ContainerState(
+            one.name, restarts=one.restarts, ended_why=one.ended_why, last_words=one.last_words, waiting=one.waiting
+        )
         for one in troubled
     )
     return replace(pod, containers=failing, ready_since=None, unready_since=None)

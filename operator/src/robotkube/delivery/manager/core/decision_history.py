@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from robotkube.foundation.documents.core.shortening import shortened
+
 ENTRIES_MAX = 10
 RELEASES_MAX = 50
 MESSAGE_CHARACTERS_MAX = 2048
@@ -25,4 +27,7 @@ def with_decision(
     decided = {"generation": generation, "reason": reason, "runs": list(runs[:RELEASES_MAX])}
     if history and all(history[-1].get(key) == value for key, value in decided.items()):
         return list(history[-ENTRIES_MAX:])
-    return [*history[-ENTRIES_MAX + 1 :], {"time": now, **decided, "message": message[:MESSAGE_CHARACTERS_MAX]}]
+    return [
+        *history[-ENTRIES_MAX + 1 :],
+        {"time": now, **decided, "message": shortened(message, MESSAGE_CHARACTERS_MAX)},
+    ]

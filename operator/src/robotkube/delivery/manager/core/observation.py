@@ -39,7 +39,7 @@ class ApplicationState:
 class ContainerState:
     """A container of a pod as its kubelet reports it: `probed` when it has a readiness probe, `ready` while that says
     yes; since when it runs, how often it was started again, when it ended last (ns since 1970; None: never, or by no
-    end of its own) and why; `waiting` says why it cannot begin."""
+    end of its own), why, and what its kubelet kept of its last words; `waiting` says why it cannot begin."""
 
     name: str
     probed: bool = False
@@ -47,6 +47,7 @@ class ContainerState:
     restarts: int = 0
     ended_ns: int | None = None
     ended_why: str = ""
+    last_words: str = ""
     started_ns: int | None = None
     waiting: str = ""
 

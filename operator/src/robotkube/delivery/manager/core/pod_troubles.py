@@ -19,5 +19,6 @@ def _words(container: ContainerState) -> str:
         return ""
     if container.ended_why:
         times = f"started again {container.restarts} time{'' if container.restarts == 1 else 's'}"
-        return f"container {container.name} ended ({container.ended_why}), {times}; its log says why"
+        cause = f": {container.last_words}" if container.last_words else "; its log says why"
+        return f"container {container.name} ended ({container.ended_why}), {times}{cause}"
     return f"container {container.name} cannot begin ({container.waiting})" if container.waiting else ""

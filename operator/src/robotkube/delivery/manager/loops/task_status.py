@@ -38,6 +38,7 @@ from robotkube.delivery.tasks.core.task_description import (
 )
 from robotkube.delivery.tasks.ports.store import TaskStore
 from robotkube.errors import InputError, RobotKubeError
+from robotkube.foundation.documents.core.shortening import shortened
 from robotkube.foundation.documents.core.times import time_text
 from robotkube.foundation.kubernetes.core.objects import is_withdrawn, object_identity, object_key
 
@@ -272,7 +273,7 @@ def derive(
 
 
 def _bounded(text: str) -> str:
-    return text if len(text) <= MESSAGE_CHARACTERS_MAX else f"{text[: MESSAGE_CHARACTERS_MAX - 1]}…"
+    return shortened(text, MESSAGE_CHARACTERS_MAX)
 
 
 def _facts(record: PlanRecord | None) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """Admission: what webhooks and policies of the cluster do to the chart's objects, and whether the platform's are there.
 
 Expressions of policies and what webhooks answer are not evaluated: which of them judge is said, and what they would
-say is not known from here.
+say is not known from here. Neither is whether the API server has policies from files: its objects do not show them.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ NAME_LABEL = "kubernetes.io/metadata.name"
 AGENT_LABEL, PART = "robotkube.io/agent", {"app.kubernetes.io/part-of": "robotkube"}
 OWN = "robotkube-"
 ASKING = "helm template ... | kubectl apply --dry-run=server -f - asks them"
+FILES = "policies that the API server reads from files it shows to nobody"
 Labels = Mapping[str, str]
 
 
@@ -81,8 +82,9 @@ def admission(
     named_already = {problem.where for problem in problems}
     others = [f"{judge.kind} {judge.name}" for judge in touching if f"{judge.kind} {judge.name}" not in named_already]
     unseen = f"{named(others)} judge objects of the chart, and what they say is not known: {ASKING}" if others else ""
-    words = "switched on" if enabled(settings, "admission") else "switched off (admission.enabled)"
-    return CheckVerdict(f"the platform's policies are {words}; {len(judges)} judges of others", problems, unseen)
+    words = "are written by the chart" if enabled(settings, "admission") else "are not written by the chart here"
+    says = f"the platform's policies {words} (admission.enabled); {len(judges)} judges of others; {FILES}"
+    return CheckVerdict(says, problems, unseen)
 
 
 def _targets(rendering: RenderedChart, namespaces: Mapping[str, Labels]) -> Iterator[JudgedObjects]:

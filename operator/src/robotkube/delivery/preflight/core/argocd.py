@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,9 @@ from robotkube.registry.suites.core.pod_security import items, mapping
 DEFINITIONS = tuple(f"{name}.argoproj.io" for name in ("applications", "applicationsets", "appprojects"))
 COMPONENT = "app.kubernetes.io/component"
 PARTS = ("application-controller", "applicationset-controller", "repo-server", "server")
-IMAGE_TAG = re.compile(r"[^@]*:v?([0-9]+)\.([0-9]+)[^/@]*(@.*)?")
+IMAGE_TAG = re.compile(r"[^@]*:(v?[0-9]+\.[0-9]+[^/@]*)(@.*)?")
+VERSION_LABEL = "app.kubernetes.io/version"
+VERSION = re.compile(r"v?([0-9]+)\.([0-9]+).*")
 MAJOR = 3  # the one that the platform is tested with
 
 
@@ -33,11 +35,14 @@ def argocd(present: ArgoCd) -> CheckVerdict:
     parts = {str(labels_of(one).get(COMPONENT, "")): one for one in present.workloads}
     for part in PARTS:
         problems += _part(part, parts.get(part), present.namespace)
-    version = _version(present.workloads)
-    unseen = "" if version or problems else "its images have no tag, so its version is not known"
+    own = [parts[part] for part in PARTS if part in parts]
+    tagged, labelled = _version(_tags(own)), _version(str(labels_of(one).get(VERSION_LABEL, "")) for one in own)
+    version = tagged or labelled
+    unseen = "" if version or problems else f"neither a tag of its images nor a label {VERSION_LABEL} says its version"
     if version and not version.startswith(f"{MAJOR}."):
         unseen = f"the platform is tested with Argo CD {MAJOR} alone, which does not say what {version} does"
-    return CheckVerdict(f"version {version or 'not known'} in namespace {present.namespace}", problems, unseen)
+    known = f"{version or 'not known'}{f' (label {VERSION_LABEL})' if version and not tagged else ''}"
+    return CheckVerdict(f"version {known} in namespace {present.namespace}", problems, unseen)
 
 
 def namespace_in(settings: Mapping[str, Any]) -> str:
@@ -63,11 +68,16 @@ def _part(part: str, workload: Object | None, namespace: str) -> Iterator[Proble
         yield Problem(f"no pod of {name_of(workload)} is ready", where, why, fix)
 
 
-def _version(workloads: Sequence[Object]) -> str:
+def _tags(workloads: Sequence[Object]) -> Iterator[str]:
+    """The tags of the workloads' images."""
     for workload in workloads:
         template = mapping(mapping(workload.get("spec")).get("template"))
         for container in items(mapping(template.get("spec")).get("containers")):
             match = IMAGE_TAG.fullmatch(str(container.get("image", "")))
-            if match and labels_of(workload).get(COMPONENT) in PARTS:
-                return f"{match[1]}.{match[2]}"
-    return ""
+            yield match[1] if match else ""
+
+
+def _version(texts: Iterable[str]) -> str:
+    """The first two numbers of the first text that is a version; empty when none is."""
+    match = next(filter(None, map(VERSION.fullmatch, texts)), None)
+    return f"{match[1]}.{match[2]}" if match else ""

@@ -22,6 +22,7 @@ from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.patterns import SUBDOMAIN
 from robotkube.foundation.documents.core.reader import Reader
+from robotkube.foundation.documents.core.shortening import shortened
 from robotkube.foundation.documents.core.yaml_codec import json_problems
 
 TASKS_TOPIC = "robotkube/tasks/"
@@ -205,4 +206,4 @@ def _json(document: Mapping[str, Any]) -> bytes:
 
 
 def _bounded(text: str) -> str:
-    return text if len(text) <= TEXT_CHARACTERS_MAX else f"{text[: TEXT_CHARACTERS_MAX - 1]}…"
+    return shortened(text, TEXT_CHARACTERS_MAX)

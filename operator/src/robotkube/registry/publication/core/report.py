@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
+from robotkube.foundation.documents.core.shortening import shortened
 from robotkube.registry.evidence.core.statements import Artefact, Check
 
 MARKER = "<!-- robotkube: publication -->"
@@ -170,19 +171,15 @@ def _footer(report: Report) -> str:
 def quoted(text: str) -> str:
     """`text` as one line of code: no markup in it counts."""
     line = " ".join(text.split()).replace("`", "'")
-    return f"`{_short(line)}`" if line else "(nothing)"
+    return f"`{shortened(line, TEXT_CHARACTERS_MAX)}`" if line else "(nothing)"
 
 
 def plain(text: str) -> str:
     """`text` as one line in which nothing is a link, a mention or HTML."""
-    line = _short(" ".join(text.split()))
+    line = shortened(" ".join(text.split()), TEXT_CHARACTERS_MAX)
     for character in "\\`*_[]<>|":
         line = line.replace(character, f"\\{character}" if character != "<" else "&lt;")
     return line.replace("@", "&#64;")
-
-
-def _short(line: str) -> str:
-    return line if len(line) <= TEXT_CHARACTERS_MAX else f"{line[: TEXT_CHARACTERS_MAX - 1]}…"
 
 
 def readable_text(comment: str) -> str:

@@ -80,7 +80,8 @@ def user_problems(image: str, settings: Mapping[str, Any]) -> Iterator[str]:
     """`settings` is `config` of the image's configuration."""
     user = str(settings.get("User") or "")
     if not NUMERIC_USER.fullmatch(user):
-        why = "it runs as root" if user in ("", "0", "root") else "a name proves nothing: its number may be 0"
+        root = user.partition(":")[0] in ("", "0", "root")
+        why = "it runs as root" if root else "a name proves nothing: its number may be 0"
         yield f"{image}: user is {user or 'not set'}: {why}"
 
 

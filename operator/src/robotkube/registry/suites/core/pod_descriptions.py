@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from robotkube.foundation.documents.core.shortening import shortened
+
 EVENTS_MAX = 5
 LOG_LINES_MAX = 12
 LINE_CHARACTERS_MAX = 300
@@ -77,16 +79,28 @@ def describe_deployment(item: Object | None, name: str) -> list[str]:
     return lines
 
 
-def describe_pod(item: Object, events: Sequence[Object] = (), log: str = "") -> list[str]:
-    """A pod's states, its last warnings and the last lines of its log."""
+def troubled(item: Object) -> bool:
+    """Whether the pod is not ready, or a container of it did not stay what it was started as."""
+    return not pod_ready(item) or any(status.get("restartCount") for status in container_statuses(item))
+
+
+def in_trouble_last(pods: Sequence[Object]) -> list[Object]:
+    """The pods in another order: texts are cut in their middle, so what is said of the last ones stays."""
+    return sorted(pods, key=troubled)
+
+
+def describe_pod(item: Object, events: Sequence[Object] = ()) -> list[str]:
+    """A pod's states, how containers ended first, and its last warnings."""
     name = item["metadata"]["name"]
     lines = [f"pod {name}: {text}" for text in _states(item)] or [f"pod {name}: {_phase(item)}"]
     warnings = [event for event in events if event.get("type") == "Warning"]
-    lines += [f"event {event.get('reason')}: {_short(event.get('message'))}" for event in warnings[-EVENTS_MAX:]]
+    return lines + [f"event {event.get('reason')}: {_short(event.get('message'))}" for event in warnings[-EVENTS_MAX:]]
+
+
+def last_lines(log: str) -> list[str]:
+    """The last lines of a log under a heading; none of an empty one."""
     tail = [line for line in log.splitlines() if line.strip()][-LOG_LINES_MAX:]
-    if tail:
-        lines += ["last lines of its log:", *(f"  {_short(line)}" for line in tail)]
-    return lines
+    return ["last lines of its log:", *(f"  {_short(line)}" for line in tail)] if tail else []
 
 
 def _phase(item: Object) -> str:
@@ -101,18 +115,23 @@ def _states(item: Object) -> Iterator[str]:
         name = status.get("name")
         state = status.get("state") or {}
         restarts = status.get("restartCount", 0)
-        if waiting := state.get("waiting"):
-            yield f"container {name} waits: {waiting.get('reason')}: {_short(waiting.get('message'))}"
-        elif ended := state.get("terminated"):
-            yield f"container {name} ended with {ended.get('exitCode')} ({ended.get('reason')})"
-        elif not status.get("ready"):
-            yield f"container {name} runs but is not ready: its readiness or startup probe does not succeed"
         last = (status.get("lastState") or {}).get("terminated")
         if restarts and last:
             times = f"{restarts} time{'s' if restarts > 1 else ''}"
             yield f"container {name} was restarted {times}; it ended with {last.get('exitCode')} ({last.get('reason')})"
+        if waiting := state.get("waiting"):
+            yield f"container {name} waits: {_waiting(waiting)}"
+        elif ended := state.get("terminated"):
+            yield f"container {name} ended with {ended.get('exitCode')} ({ended.get('reason')})"
+        elif not status.get("ready"):
+            yield f"container {name} runs but is not ready: its readiness or startup probe does not succeed"
+
+
+def _waiting(state: Object) -> str:
+    """Why a container waits; for how long a container that ended is not started says nothing."""
+    reason = str(state.get("reason"))
+    return reason if reason == BACK_OFF else f"{reason}: {_short(state.get('message'))}"
 
 
 def _short(text: Any) -> str:
-    line = " ".join(str(text or "").split())
-    return line if len(line) <= LINE_CHARACTERS_MAX else line[: LINE_CHARACTERS_MAX - 4] + " ..."
+    return shortened(" ".join(str(text or "").split()), LINE_CHARACTERS_MAX)

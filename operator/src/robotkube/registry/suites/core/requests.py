@@ -23,6 +23,7 @@ from robotkube.foundation.documents.core.patterns import (
     VERSION,
 )
 from robotkube.foundation.documents.core.reader import Reader
+from robotkube.foundation.documents.core.shortening import shortened
 from robotkube.registry.evidence.core.statements import Artefact, Check, SuiteResult
 from robotkube.registry.evidence.core.verification_policy import SuiteRule
 
@@ -270,9 +271,7 @@ def _check(reader: Reader, value: Any, path: str) -> Check:
 
 
 def _bounded(text: str) -> str:
-    if len(text) <= TEXT_CHARACTERS_MAX:
-        return text
-    return text[: TEXT_CHARACTERS_MAX - 20] + " ... (cut here)"
+    return shortened(text, TEXT_CHARACTERS_MAX)
 
 
 def _one_of(reader: Reader, value: Any, path: str, known: tuple[str, ...]) -> str:

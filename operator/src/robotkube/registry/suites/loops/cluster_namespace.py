@@ -29,6 +29,7 @@ HELPER_START_SECONDS_MAX = 120.0
 LOG_BYTES_MAX = 4 * 1024 * 1024
 BEGINNING_CHARACTERS = 200
 CHART_LOG_BYTES_MAX, CHART_LOG_LINES_MAX = 64 * 1024, 100
+PODS_DESCRIBED_MAX = 2
 EMPTY_GRACE_SECONDS = 1
 BROKER = "suite-broker"
 DATABASE = "suite-database"
@@ -163,8 +164,7 @@ class ClusterTestNamespace:
             return ""
         if kind == "Deployment":
             lines += pod_descriptions.describe_deployment(self._api.get(kind, name), name)
-        lines += self._described(self._concerned(kind, name), kind, name)
-        return "\n".join(dict.fromkeys(lines))
+        return "\n".join([*lines, *self._described(self._concerned(kind, name), kind, name)])
 
     def _concerned(self, kind: str, name: str) -> list[Object]:
         if kind == "Pod":
@@ -174,13 +174,14 @@ class ClusterTestNamespace:
     def _described(self, pods: Sequence[Object], kind: str, name: str) -> list[str]:
         if not pods:
             reasons = [f"event {item.get('reason')}: {item.get('message')}" for item in self._api.events(kind, name)]
-            return reasons[-pod_descriptions.EVENTS_MAX :] or [f"{kind} {name} has no pod"]
-        lines = []
-        for item in pods[-2:]:
-            events = self._api.events("Pod", item["metadata"]["name"])
-            log = self._container_logs(item)
-            lines += pod_descriptions.describe_pod(item, events, log)
-        return lines
+            return list(dict.fromkeys(reasons))[-pod_descriptions.EVENTS_MAX :] or [f"{kind} {name} has no pod"]
+        shown = pod_descriptions.in_trouble_last(pods)[-PODS_DESCRIBED_MAX:]
+        states = [line for item in shown for line in self._states(item)]
+        logs = dict.fromkeys(tuple(pod_descriptions.last_lines(self._container_logs(item))) for item in shown)
+        return [*dict.fromkeys(states), *(line for log in logs for line in log)]
+
+    def _states(self, item: Object) -> list[str]:
+        return pod_descriptions.describe_pod(item, self._api.events("Pod", item["metadata"]["name"]))
 
     def pods(self) -> Sequence[Object]:
         """The chart's pods."""
@@ -193,14 +194,22 @@ class ClusterTestNamespace:
         return self._container_logs(item) if item else ""
 
     def _container_logs(self, item: Object) -> str:
-        name = item["metadata"]["name"]
-        logs = []
-        for container in pod_descriptions.container_statuses(item):
-            log = self._api.log(name, container["name"], CHART_LOG_BYTES_MAX, CHART_LOG_LINES_MAX)
-            if not log and container.get("restartCount"):
-                log = self._api.log(name, container["name"], CHART_LOG_BYTES_MAX, CHART_LOG_LINES_MAX, previous=True)
-            logs.append(log)
-        return "".join(logs)
+        """The ends of the logs of all its containers, that of one in trouble last."""
+        statuses = pod_descriptions.container_statuses(item)
+        statuses.sort(key=lambda status: (not status.get("ready"), status.get("restartCount", 0)))
+        logs = (self._container_log(item["metadata"]["name"], status).rstrip("\n") for status in statuses)
+        return "".join(f"{log}\n" for log in logs if log)
+
+    def _container_log(self, pod: str, status: Object) -> str:
+        """The end of a container's log: of the start that ended, when it runs again and says nothing of that."""
+        orders = [False]
+        if status.get("restartCount"):
+            orders.insert(0 if "running" in (status.get("state") or {}) else 1, True)
+        logs = (
+            self._api.log(pod, status["name"], CHART_LOG_BYTES_MAX, CHART_LOG_LINES_MAX, previous=previous)
+            for previous in orders
+        )
+        return next(filter(None, logs), "")
 
     def run_pod(
         self,

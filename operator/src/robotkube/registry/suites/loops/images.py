@@ -22,6 +22,7 @@ from robotkube.registry.suites.ports.suites import LayerReader, Subject, SuiteNa
 
 CONFIGURATION_BYTES_MAX = 1 << 20
 IMAGES_MAX = 20
+USER_FIX = "end its Dockerfile with USER 10001:10001, behind every RUN that USER 0:0 stands before"
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ class ImagesSuite:
             check("renders", problems, "repair the chart or its test values; the static suite says more"),
             check("exist", missing, "push the image to the platform's OCI registry and name it by its digest"),
             check("platform", _platform_problems(images.values(), _platforms(subject)), "build it for these platforms"),
-            check("user", _each(images, image_checks.user_problems), "write USER 10001:10001 in its Dockerfile"),
+            check("user", _each(images, image_checks.user_problems), USER_FIX),
             check(
                 "entry-point",
                 _start_problems(started, images),

@@ -12,6 +12,7 @@ from typing import Any
 
 from robotkube.errors import InputError
 from robotkube.foundation.documents.core.json_codec import read_json
+from robotkube.foundation.documents.core.shortening import shortened
 from robotkube.foundation.documents.core.value_templates import Render as Fill
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.registry.catalogue.core.chart_versions import WATCHED
@@ -275,4 +276,4 @@ def _path(path: Sequence[str | int]) -> str:
 
 
 def _short(error: Exception) -> str:
-    return " ".join(str(error).split())[:TEXT_CHARACTERS_MAX]
+    return shortened(" ".join(str(error).split()), TEXT_CHARACTERS_MAX)

@@ -18,7 +18,7 @@ from robotkube.registry.suites.core.changed_settings import Topics
 from robotkube.registry.suites.core.requests import TestSet
 from robotkube.registry.suites.core.soaked_pods import came, ends, unsteady
 from robotkube.registry.suites.loops.installation import Installation, install
-from robotkube.registry.suites.loops.installed.soak import log_lines
+from robotkube.registry.suites.loops.installed.steadiness import log_lines
 from robotkube.registry.suites.loops.observer_pod import ObserverPod
 from robotkube.registry.suites.ports.suites import Object, Subject, SuiteNamespace
 

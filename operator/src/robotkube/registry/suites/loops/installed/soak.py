@@ -13,17 +13,16 @@ from robotkube.registry.charts.core.values_schemas import overlay
 from robotkube.registry.evidence.core.statements import Check
 from robotkube.registry.suites.core.memory_growth import MemoryJudgement, not_measured
 from robotkube.registry.suites.core.namespace_contents import BROKER_SECRET, DATABASE_SECRET
-from robotkube.registry.suites.core.pod_descriptions import describe_pod
 from robotkube.registry.suites.core.requests import TestSet
 from robotkube.registry.suites.core.soaked_pods import unsteady
 from robotkube.registry.suites.loops.installation import named_secrets
 from robotkube.registry.suites.loops.installed.memory_sampling import MemoryWatch
+from robotkube.registry.suites.loops.installed.steadiness import log_lines
 from robotkube.registry.suites.loops.observer_pod import ObserverPod
 from robotkube.registry.suites.ports.suites import Object, Subject, SuiteNamespace
 
 KEEPS_RUNNING = "keeps-running"
 MARGIN_SECONDS = 20.0  # for the pod that sends to start, connect and end
-LOG_CHARACTERS_MAX = 1_500
 FIX = (
     "start the chart with these values yourself, send to its inputs for that long, and correct what is named here; a "
     "process that ends or loses its readiness under traffic does so on the robot, too"
@@ -81,12 +80,3 @@ def _needed(expected: Sequence[ExpectedTopic], secrets: set[str]) -> tuple[bool,
     """Whether the chart has a broker, and a database; both run already when it has."""
     media = {topic.medium for topic in expected} | secrets
     return bool(media & {MQTT, BROKER_SECRET}), bool(media & {DATABASE, DATABASE_SECRET})
-
-
-def log_lines(pods: Sequence[Object], test_namespace: SuiteNamespace) -> list[str]:
-    """What the pods' containers ended with and logged last."""
-    return [
-        line[:LOG_CHARACTERS_MAX]
-        for pod in pods
-        for line in describe_pod(pod, (), test_namespace.logs(pod["metadata"]["name"]))
-    ]
