@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from robotkube.cli.main import main
+from robotkube.cli.output import Table
 from robotkube.cli.platform import Platform
 from robotkube.delivery.deployment.core.releases import application_name
 from robotkube.delivery.manager.core.updates.states import WAITING, ReleaseUpdate
@@ -160,6 +161,19 @@ def test_tracing_from_event_to_pods(line: Line, what: str) -> None:
     expected += [("Application", application_name(*RECORDER.split("/"))), ("pod", "cloud-0/recorder-0")]
     assert [row for row in rows if row in expected] == expected
     assert ("pull request", str(plan["pull_request"])) in rows
+
+
+def test_tracing_to_the_recordings_of_a_task(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By their provenance: two namespaces may have a task of one name, and a recording has any."""
+    known = [
+        {"recording": name, "task": task, "started": None, "state": "ended", "agent": "cloud-0"}
+        for name, task in (("cloud-0.meeting", line.key), ("meeting", "other/meeting"), ("meeting-1", None))
+    ]
+    monkeypatch.setattr("robotkube.cli.recordings.commands.list_all", lambda _: Table("recordings", (), known))
+    code, out, _ = line.run("trace", line.key, "--recordings", "--output", "json")
+    assert code == 0
+    steps = json.loads(out)["steps"]
+    assert [row["name"] for row in steps if row["step"] == "recording"] == ["cloud-0.meeting"]
 
 
 def test_tracing_a_task_that_was_withdrawn(line: Line) -> None:

@@ -223,6 +223,51 @@ def test_what_was_received_is_the_sum_of_what_stands_beside_it() -> None:
     assert received == stored + early + repeated + dropped
 
 
+def without_clouds() -> Memory:
+    """A recording that lists clouds, and got none, nor a transform of any vehicle."""
+    memory = Memory()
+    memory.entries, memory.files, memory.told = [], [], memory.told[:1]
+    memory.document["topics"]["/vehicles/{agent}/transform"] = {"type": "t", "storage": "document", "latched": True}
+    return memory
+
+
+def test_a_topic_without_a_message_has_a_row_and_is_not_called_complete(ledgers: Path) -> None:
+    """COMPLETE true and exit code 0, and not a word about two of three topics."""
+    table = cli_recordings.verified({"cloud-0": without_clouds()}, without_clouds(), NAME, [], None)
+    assert table.refusal == ""
+    assert table.reservation.endswith(
+        f"no messages of {CLOUD}, /vehicles/{{agent}}/transform: whether there was anything to record, the recording "
+        "does not say"
+    )
+    rows = {row["topic"]: row for row in table.rows}
+    assert rows[POSE]["complete"] is True
+    for silent in (CLOUD, "/vehicles/{agent}/transform"):
+        assert (rows[silent]["received"], rows[silent]["stored"], rows[silent]["complete"]) == (0, 0, None)
+    lines = [line for line in written(table) if line.endswith("no messages")]
+    assert [line.split()[:3] for line in lines] == [
+        [silent, "0", "0"] for silent in (CLOUD, "/vehicles/{agent}/transform")
+    ]
+    published = cli_recordings.verified({"c": without_clouds()}, without_clouds(), NAME, [ledgers], (100, 400))
+    assert f"{CLOUD}: 4 missing without explanation, 4 of the ledger not stored" in published.refusal
+
+
+def test_show_names_topics_without_a_message() -> None:
+    (row,) = cli_recordings.shown({"cloud-0": without_clouds()}, NAME).rows
+    assert row["no_messages"] == [CLOUD, "/vehicles/{agent}/transform"]
+    (row,) = cli_recordings.shown({"cloud-0": Memory()}, NAME).rows
+    assert row["no_messages"] == []
+
+
+def test_what_a_killed_writer_received_is_not_shown_as_if_it_were_known() -> None:
+    memory = Memory()
+    gap = {"where": "recorder", "why": "killed", "count": None, "first": 250, "last": 350}
+    memory.told[0] = audit(POSE, 2, gaps=[gap])
+    rows = {row["topic"]: row for row in cli_recordings.verified({"cloud-0": memory}, memory, NAME, [], None).rows}
+    assert (rows[POSE]["received"], rows[POSE]["stored"], rows[CLOUD]["received"]) == (None, 4, 3)
+    (shown,) = cli_recordings.shown({"cloud-0": memory}, NAME).rows
+    assert (shown["audits"][POSE]["received"], shown["audits"][CLOUD]["received"]) == (None, 3)
+
+
 def test_the_list_accounts_for_everything_that_was_received() -> None:
     memory = Memory()
     memory.document["counts"] = {

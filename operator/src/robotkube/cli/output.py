@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TextIO
 
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
@@ -18,7 +18,8 @@ class Table:
     """The data of a command: `columns` of every row for people; `rows` whole, for programs. With `single` the one row
     is the document.
 
-    `text` is what people get in place of the table. `refusal`: why the command ends as refused although it has data to
+    `text` is what people get in place of the table. `unknown`: column -> what people read where a row has nothing,
+    instead of a dash. `refusal`: why the command ends as refused although it has data to
     show; empty when it does not. `unreachable`: likewise, what could not be asked or did not come in time.
     `reservation`: what it could not prove, although nothing speaks against it. `more` are further tables: for programs
     keys of the one document, for people what follows when it has rows.
@@ -32,6 +33,7 @@ class Table:
     unreachable: str = ""
     reservation: str = ""
     text: str = ""
+    unknown: Mapping[str, str] = field(default_factory=dict)
     more: Sequence[Table] = ()
 
     @property
@@ -61,14 +63,14 @@ def _lists(table: Table) -> dict[str, Any]:
 def lines(table: Table) -> list[str]:
     """The lines of a table: aligned columns under a heading."""
     cells = [[name.upper().replace("_", " ") for name in table.columns]]
-    cells += [[_cell(row.get(name)) for name in table.columns] for row in table.rows]
+    cells += [[_cell(row.get(name), table.unknown.get(name, "-")) for name in table.columns] for row in table.rows]
     widths = [max(len(row[i]) for row in cells) for i in range(len(table.columns))]
     return ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in cells]
 
 
-def _cell(value: Any) -> str:
+def _cell(value: Any, unknown: str) -> str:
     if value is None or value == "" or value == []:
-        return "-"
+        return unknown
     if isinstance(value, bool):
         return str(value).lower()
     text = ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)

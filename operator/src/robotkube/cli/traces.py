@@ -104,9 +104,8 @@ def _effects(matches: TraceMatches, applications: Mapping[str, Object], pods: Se
 
 
 def _recordings(options: argparse.Namespace, matches: TraceMatches) -> list[Row]:
-    """The rows of recordings, which are named after their tasks."""
-    names = {object_key(task).partition("/")[2] for task in matches.tasks}
-    names |= {key.partition("/")[2] for plan in matches.plans for key in plan["tasks"]}
+    """The rows of recordings, whose provenance names their tasks."""
+    tasks = {*map(object_key, matches.tasks), *(key for plan in matches.plans for key in plan["tasks"])}
     try:
         rows = cli_recordings.list_all(options).rows
     except (InputError, UnavailableError) as error:
@@ -114,7 +113,7 @@ def _recordings(options: argparse.Namespace, matches: TraceMatches) -> list[Row]
     return [
         _row("recording", r["recording"], r["started"], f"{r['state']} by {r['agent']}")
         for r in rows
-        if r["recording"] in names
+        if r["task"] in tasks
     ]
 
 

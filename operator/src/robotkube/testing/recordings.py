@@ -183,9 +183,14 @@ class RecordingVolume:
         self.manifest_killer()
         self.noted.setdefault((recording, life), []).extend(lines)
 
+    def noted_of(self, recording: str) -> Mapping[str, Sequence[str]]:
+        """As the port says."""
+        self.require(-(1 << 60))
+        return {life: lines for (name, life), lines in self.noted.items() if name == recording}
+
     def notes(self, volume: str, recording: str) -> Mapping[str, Sequence[str]]:
         """As the port of reading says."""
-        return {life: lines for (name, life), lines in self.noted.items() if name == recording}
+        return self.noted_of(recording)
 
     def read(self, volume: str, place: SegmentPlace, size: int) -> bytes:
         """As the port of reading says."""

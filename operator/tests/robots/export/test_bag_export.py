@@ -253,6 +253,20 @@ def test_seconds_count_from_the_first_stamp_also_before_the_event(messages: Sequ
     assert first_stamp(memory, memory.document) == BEGIN
 
 
+def test_an_export_names_the_topics_of_which_there_is_no_message(
+    messages: Sequence[Message], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    memory = Memory([message for message in messages if message[0].endswith("/pose")])
+    table = exported(memory, memory, memory.document, tmp_path / "out", ExportRequest())
+    silent = [(row["topic"], row["messages"]) for row in table.rows if row["type"] is None]
+    assert silent == [(CLOUDS, 0), (TRANSFORMS, 0)]
+    assert table.refusal == ""
+    assert f"robotkube: {CLOUDS}: the recording lists it and has no message of it\n" in capsys.readouterr().err
+    chosen = ExportRequest(Selection((TopicPattern(POSES),)))
+    table = exported(memory, memory, memory.document, tmp_path / "chosen", chosen)
+    assert all(row["messages"] for row in table.rows), "what was not asked for is not missed"
+
+
 def test_an_export_of_a_recording_with_gaps_names_them(
     messages: Sequence[Message], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -5,76 +5,13 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable
-from typing import Any
 
 import pytest
 
-from robotkube.cli.output import Table
-from robotkube.cli.recordings import commands as cli_recordings
 from robotkube.robots.recording.core.documents import AUDITS, INDEX, MANIFESTS, RECORDINGS, SAMPLES, SEGMENTS
 from robotkube.robots.recording.core.manifests import Chain, next_head
 from robotkube.robots.recording.core.one_time_signatures import OneTimeKey, holds
-from robotkube.robots.recording.loops.destinations import BOUNDS, RecorderPlace
-from robotkube.robots.recording.loops.journal import Journal
-from robotkube.robots.recording.loops.recorder import Recorder
-from robotkube.testing.recordings import RecordingDatabase, RecordingVolume
-
-RECORDING, VOLUME = "task-1", "cloud-0/recordings"
-POSE, CLOUD = "/pose", "/cloud"
-BEGIN, MS = 1_795_250_000_000_000_000, 1_000_000
-TOPICS = {POSE: {"type": "p", "storage": "document"}, CLOUD: {"type": "c", "storage": "segment"}}
-
-
-class Place:
-    """A database and a volume, and processes that record there one after another."""
-
-    def __init__(self) -> None:
-        self.database = RecordingDatabase()
-        self.volume = RecordingVolume()
-        self.now = 0
-        self.number = 0
-
-    def clock_ns(self) -> int:
-        self.now += 1
-        return BEGIN + 10**12 + self.now
-
-    def process(self) -> tuple[Recorder, Journal]:
-        self.volume.forget_writers()
-        place = RecorderPlace(
-            VOLUME, lambda: self.database, lambda: self.volume, self.clock_ns, lambda: self.now / 1000
-        )
-        journal = Journal(RECORDING, place, BOUNDS)
-        recorder = Recorder(RECORDING, {"rule": "r", "provenance": {"task": "t"}, "topics": TOPICS}, journal, place)
-        journal.turn()
-        return recorder, journal
-
-    def offer(self, recorder: Recorder, journal: Journal, steps: int = 30) -> None:
-        for _ in range(steps):
-            for topic, size in ((POSE, 30), (CLOUD, 900)):
-                data = self.number.to_bytes(4, "little") * size
-                stamp = BEGIN + self.number * 100 * MS
-                recorder.offer(topic, "t", TOPICS[topic]["storage"], stamp, stamp + 5, data)
-            self.number += 1
-            self.now += 500
-            recorder.turn()
-            journal.turn()
-
-    def end(self, recorder: Recorder, journal: Journal) -> None:
-        recorder.finish()
-        journal.finish((self.now + 100_000) / 1000)
-
-    def verified(self, keys: tuple[str, ...] = ()) -> Table:
-        readers = {"cloud-0": self.database}
-        return cli_recordings.verified(readers, self.volume, RECORDING, [], None, keys)
-
-    @property
-    def manifest(self) -> dict[str, Any]:
-        """The document of the only writer's manifest."""
-        (manifest,) = (one for one in self.collection(MANIFESTS).values() if "number" not in one)
-        return manifest
-
-    def collection(self, name: str) -> dict[str, dict[str, Any]]:
-        return self.database.collections[name]
+from tests.stages.recording.processes import BEGIN, POSE, RECORDING, TOPICS, VOLUME, Place, killed_and_resumed
 
 
 @pytest.fixture
@@ -184,8 +121,7 @@ def test_a_seal_by_another_key_contradicts_what_the_volume_has(place: Place) -> 
     sealed_again(place)
     table = place.verified()
     assert table.refusal == (
-        f"{RECORDING}: what writer {place.manifest['life']} noted on {VOLUME}, its key or its seal, is not what the "
-        "database has"
+        f"{RECORDING}: what writer {place.manifest['life']} noted on {VOLUME} is not what the database has: another key"
     )
 
 
@@ -231,17 +167,6 @@ def test_a_statement_of_another_recording_is_no_seal(place: Place) -> None:
     statement = json.loads(place.manifest["statement"])
     place.manifest["statement"] = json.dumps({**statement, "documents": 3})
     assert "does not hold: its seal is not by its key" in place.verified().refusal
-
-
-def killed_and_resumed() -> Place:
-    """A writer that was killed, and one that went on behind it."""
-    place = Place()
-    process = place.process()
-    place.offer(*process)
-    process = place.process()
-    place.offer(*process, steps=5)
-    place.end(*process)
-    return place
 
 
 def test_who_goes_on_behind_a_killed_writer_seals_what_that_one_had_not() -> None:

@@ -52,6 +52,17 @@ def test_every_message_is_found_by_its_place(tmp_path: Path, open_segments: Call
         assert reader.read("cloud-0/recordings", place, len(item.data)) == item.data
 
 
+def test_what_writers_noted_is_read_by_the_next_one_and_by_whoever_verifies(tmp_path: Path) -> None:
+    volume = MountedVolumeClaim(tmp_path, "task-1", lambda: 1)
+    assert volume.noted_of("cloud-0.task-1") == {}
+    volume.note("cloud-0.task-1", "12", ["a", "b"])
+    volume.note("cloud-0.task-1", "12", ["c"])
+    volume.note("cloud-0.task-1", "13", ["d"])
+    assert volume.noted_of("cloud-0.task-1") == {"12": ["a", "b", "c"], "13": ["d"]}
+    reader = McapSegmentReader({"cloud-0/recordings": tmp_path})
+    assert reader.notes("cloud-0/recordings", "cloud-0.task-1") == volume.noted_of("cloud-0.task-1")
+
+
 def test_finished_segments_are_ordinary_mcap(tmp_path: Path, open_segments: Callable[..., McapSegments]) -> None:
     segments = open_segments()
     for n in range(5):

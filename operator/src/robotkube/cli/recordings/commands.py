@@ -21,9 +21,10 @@ from robotkube.errors import DocumentError, InputError, RefusalError, Unavailabl
 from robotkube.foundation.database.adapters.connection import DatabaseLogin, connect
 from robotkube.robots.recording.adapters.mongodb import PymongoRecordingReader
 from robotkube.robots.recording.adapters.segments import McapSegmentReader
+from robotkube.robots.recording.core.audits import AuditSum
 from robotkube.robots.recording.core.documents import SEGMENT
 from robotkube.robots.recording.core.ledgers import LedgerLine
-from robotkube.robots.recording.core.verification import TopicExamination, examine
+from robotkube.robots.recording.core.verification import TopicExamination, examine, without_any
 from robotkube.robots.recording.loops.reading import (
     audits,
     begin_examination,
@@ -51,6 +52,7 @@ _COUNTS = {
 }  # fmt: skip
 """Column of `recording list` -> the counter of the last writer. The first is the sum of the others, but for what was
 given up behind the recorder, which is counted twice then: among what was stored, and as dropped."""
+NO_MESSAGES = {"complete": "no messages"}
 MANIFEST_COLUMNS = ("writer", "volume", "sealed", "documents", "adopted")
 
 
@@ -126,16 +128,24 @@ def shown(readers: Readers, recording: str) -> Table:
     first = {topic: _time(stored) for topic, stored in first_stored(reader, recording).items()}
     row = _row(agent, document)
     kept = {key: document.get(key) for key in ("topics", "provenance", "counts", "causes")}
-    whole = {**row, **kept, "first_stored": first, "audits": _sums(reader, recording)}
+    sums = audits(reader, recording)
+    heard = {*first, *(topic for topic, audit in sums.items() if audit.received)}
+    silent = without_any(document.get("topics") or {}, heard)
+    whole = {**row, **kept, "first_stored": first, "no_messages": silent, "audits": _shown_sums(sums)}
     return Table("recording", (), [{**whole, "files": [dict(file) for file in reader.segments(recording)]}], True)
 
 
-def _sums(reader: RecordingReader, recording: str) -> dict[str, Any]:
-    """The sums of the audits, by topic."""
-    names = ("received", "early", "duplicates", "stored", "dropped", "open")
+def _shown_sums(sums: Mapping[str, AuditSum]) -> dict[str, Any]:
+    """The sums of the audits, by topic. Of a writer that was killed nobody knows the numbers; of one that is at work
+    they are those of its last audit."""
+    names = ("received", "early", "duplicates", "stored", "dropped")
     return {
-        topic: {**{name: getattr(audit, name) for name in names}, "gaps": [gap.document() for gap in audit.gaps]}
-        for topic, audit in sorted(audits(reader, recording).items())
+        topic: {
+            **{name: getattr(audit, name) if audit.open or not audit.interrupted else None for name in names},
+            "open": audit.open,
+            "gaps": [gap.document() for gap in audit.gaps],
+        }
+        for topic, audit in sorted(sums.items())
     }
 
 
@@ -158,15 +168,22 @@ def verified(
     stored = stored_messages(
         reader, segments, recording, changed=changed.append, seen=seals.check, published=published_digests(ledgers)
     )
-    topics = examine(stored, audited, ledgers, covered, _latched(document))
+    topics = examine(stored, audited, ledgers, covered, _latched(document), document.get("topics") or {})
     text = f"{len(changed)} documents have other stamps or digests than they were stored with; the first: {changed[:1]}"
     files = [*([text] if changed else []), *wrong_segments(reader, segments, recording), *seals.problems]
     missing = sorted(set(names) - set(ledgers)) if ledgers else []
     rows = [_examined(topic) for topic in topics]
     writers = Table("manifests", MANIFEST_COLUMNS, [manifest.row() for manifest in seals.manifests])
-    reserved = f"{recording}: {'; '.join(seals.reservations)}" if seals.reservations else ""
+    reservations = [*seals.reservations, *_silence(topics)]
+    reserved = f"{recording}: {'; '.join(reservations)}" if reservations else ""
     refusal = _refusal(document, topics, missing, files)
-    return Table("topics", COLUMNS, rows, refusal=refusal, reservation=reserved, more=[writers])
+    return Table("topics", COLUMNS, rows, refusal=refusal, reservation=reserved, unknown=NO_MESSAGES, more=[writers])
+
+
+def _silence(topics: Sequence[TopicExamination]) -> Iterator[str]:
+    silent = [topic.topic for topic in topics if topic.silent]
+    if silent:
+        yield f"no messages of {', '.join(silent)}: whether there was anything to record, the recording does not say"
 
 
 def _large(document: Mapping[str, Any]) -> list[str]:
@@ -281,12 +298,13 @@ def _examined(topic: TopicExamination) -> dict[str, Any]:
     audit = topic.audit
     comparison = topic.comparison
     gaps = sorted(audit.gaps, key=lambda gap: (gap.first, gap.last)) if audit else []
+    counted = audit if topic.counted else AuditSum(topic.topic) if topic.silent else None
     return {
         "topic": topic.topic,
-        "received": audit.received if audit else None,
-        "early": audit.early if audit else None,
-        "repeated": audit.duplicates if audit else None,
-        "dropped": audit.dropped if audit else None,
+        "received": counted.received if counted else None,
+        "early": counted.early if counted else None,
+        "repeated": counted.duplicates if counted else None,
+        "dropped": counted.dropped if counted else None,
         "stored": topic.stored,
         "missing": topic.missing if audit else None,
         "published": comparison.published if comparison else None,
@@ -306,8 +324,9 @@ def _refusal(
     document: Mapping[str, Any], topics: Sequence[TopicExamination], missing: Sequence[str], files: Sequence[str]
 ) -> str:
     reasons = [] if document.get("ended") else ["has not ended: its recorder is at work, or was killed"]
-    reasons += [] if topics else ["nothing is stored, and no audit says what was received"]
-    reasons += [f"{topic.topic}: {', '.join(topic.problems)}" for topic in topics if not topic.complete]
+    known = any(topic.stored or topic.audit for topic in topics)
+    reasons += [] if known else ["nothing is stored, and no audit says what was received"]
+    reasons += [f"{topic.topic}: {', '.join(topic.problems)}" for topic in topics if topic.problems]
     reasons += [f"no ledger was given of: {', '.join(missing)}"] if missing else []
     unread = next((text for topic in topics for text in topic.unreadable), "")
     reasons += [f"first that cannot be read: {unread} (--segments <node>/<claim>=<folder>)"] if unread else []

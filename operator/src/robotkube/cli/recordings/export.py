@@ -153,6 +153,8 @@ def exported(
             partial.rename(folder)
     except OSError as error:
         raise InputError(f"{folder}: cannot be written: {error}") from error
+    for name in prepared.silent:
+        _say(f"{name}: the recording lists it and has no message of it")
     return _table(prepared, counts, gaps)
 
 
@@ -244,6 +246,10 @@ def _table(prepared: Export, counts: Mapping[str, int], gaps: Sequence[Gap]) -> 
             "gaps": [gap.document() for gap in by_topic[topic.name]],
         }
         for topic in prepared.topics
+    ]
+    rows += [
+        {"topic": name, "type": None, "messages": 0, "left_out": 0, "missing": 0, "gap_count": 0, "gaps": []}
+        for name in prepared.silent
     ]
     missing = sum(prepared.left_out.values())
     refusal = f"{missing} messages are not in the export; the first: {prepared.problems[0]}" if missing else ""

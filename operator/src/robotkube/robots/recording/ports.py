@@ -183,3 +183,7 @@ class WritableVolume(Protocol):
     def note(self, recording: str, life: str, lines: Sequence[str]) -> None:
         """Note lines for a writer of the recording, behind those that are there; returns when they are on the disk."""
         ...
+
+    def noted_of(self, recording: str) -> Mapping[str, Sequence[str]]:
+        """The lines that writers of the recording have noted, by their lives."""
+        ...

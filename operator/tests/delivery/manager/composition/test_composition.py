@@ -104,6 +104,23 @@ def task(
     return replace(description, **changes)
 
 
+def recording_of(composition: Composition, vehicle: str) -> dict[str, Any]:
+    """The recording reaction of a vehicle's recorder."""
+    release = composition.releases[f"releases/cloud-0/recorder-{vehicle}.yaml"]
+    [reaction] = release.values["detector"]["reactions"]
+    return dict(reaction)
+
+
+def test_tasks_of_one_name_in_two_namespaces_have_a_recording_each() -> None:
+    """Both were Ready, and shared one recording whose provenance named the first alone."""
+    same = task("atk-same", ["vehicle-00"]), task("atk-same", ["vehicle-01"], namespace="vehicle-01")
+    composition = compute(same)
+    assert all(isinstance(outcome, Met) for outcome in composition.outcomes.values())
+    first, second = (recording_of(composition, vehicle) for vehicle in ("vehicle-00", "vehicle-01"))
+    assert (first["recording"], second["recording"]) == ("cloud-0.atk-same", "vehicle-01.atk-same")
+    assert (first["provenance"]["task"], second["provenance"]["task"]) == ("cloud-0/atk-same", "vehicle-01/atk-same")
+
+
 def demand(description: TaskDescription) -> Demand:
     return Demand(description.key, description.application, description.parameters, task=description)
 

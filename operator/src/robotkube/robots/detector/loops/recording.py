@@ -42,8 +42,9 @@ class RecordingReactions:
     @property
     def not_ready(self) -> str:
         """The reason why recordings are not ready, in words; empty when they are."""
+        failed = next((recordings.failed for recordings in self.at_work if recordings.failed), "")
         waiting = [recordings.plan.recording for recordings in self.at_work if not recordings.ready]
-        return f"database or volume claim has not answered yet: {', '.join(waiting)}" if waiting else ""
+        return failed or (f"database or volume claim has not answered yet: {', '.join(waiting)}" if waiting else "")
 
     def apply(self, settings: DetectorSettings) -> None:
         """Apply new settings; recordings whose plan is unchanged go on."""

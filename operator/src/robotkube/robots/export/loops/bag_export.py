@@ -16,6 +16,7 @@ from robotkube.errors import InputError, UnavailableError
 from robotkube.robots.bags.core.playback import BagTopic
 from robotkube.robots.recording.core.audits import add_up
 from robotkube.robots.recording.core.documents import SegmentPlace
+from robotkube.robots.recording.core.verification import without_any
 from robotkube.robots.recording.ports import RecordingReader, SegmentReader
 from robotkube.robots.ros.core.gaps import Gap, Interval
 from robotkube.robots.ros.core.topic_patterns import TopicPattern
@@ -77,10 +78,12 @@ class _Entry(NamedTuple):
 
 @dataclass
 class Export:
-    """A recording that is about to be exported. `entries` are in the order of reception."""
+    """A recording that is about to be exported. `entries` are in the order of reception; `silent`: topics, names or
+    patterns, that the recording lists and has no message of."""
 
     topics: Sequence[BagTopic]
     entries: Sequence[_Entry]
+    silent: Sequence[str] = ()
     left_out: Counter[str] = field(default_factory=Counter)
     problems: list[str] = field(default_factory=list)
 
@@ -118,7 +121,8 @@ def prepare(
     once = {(entry.topic, entry.stamp, entry.sha256): entry for entry in entries}  # some may be stored twice
     entries = list(reversed(once.values()))
     names = sorted({entry.topic for entry in entries})
-    return Export([recorded.topic(name) for name in names], entries)
+    silent = () if selection.topics else recorded.silent()
+    return Export([recorded.topic(name) for name in names], entries, silent)
 
 
 def gaps_of(reader: RecordingReader, recording: str, selection: Selection) -> list[Gap]:
@@ -164,6 +168,10 @@ class _RecordedTopics:
         """Whether a topic is one of the document, and no latched one."""
         fitting = (document for pattern, document in self._patterns if pattern.agent(name) is not None)
         return not next(fitting, {"latched": True}).get("latched")
+
+    def silent(self) -> list[str]:
+        """The names and patterns of which nothing was there."""
+        return without_any([pattern.text for pattern, _ in self._patterns], self._spans)
 
     def topic(self, name: str) -> BagTopic:
         """A topic with its type and QoS profile."""

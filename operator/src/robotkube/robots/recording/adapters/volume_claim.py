@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
 from robotkube.robots.recording.adapters.bson_spool import BsonSpool
 from robotkube.robots.recording.adapters.segments import McapRepair, McapSegments
+from robotkube.robots.recording.adapters.segments.reading import noted_lines
 from robotkube.robots.recording.adapters.segments.records import NOTES
 from robotkube.robots.recording.adapters.segments.writing import synchronise_folder
 
@@ -50,3 +51,7 @@ class MountedVolumeClaim:
                     file.truncate(size)  # on a full disk: half a line would stand before the next attempt
                 raise
         synchronise_folder(path.parent)
+
+    def noted_of(self, recording: str) -> Mapping[str, Sequence[str]]:
+        """The lines of the recording's files `<life>.manifest`, by life."""
+        return noted_lines(self._root / recording)

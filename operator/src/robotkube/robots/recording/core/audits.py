@@ -296,9 +296,19 @@ class AuditSum:
         """True when every number is known."""
         return not self.open and all(gap.count is not None for gap in self.gaps)
 
+    @property
+    def interrupted(self) -> bool:
+        """True when a writer is at work, or was killed: what it received after its last audit is in no number."""
+        return self.open or any((gap.where, gap.why) == (RECORDER, KILLED) for gap in self.gaps)
+
+    @property
+    def accounted(self) -> int:
+        """The number of messages that should be in storage."""
+        return self.received - self.early - self.duplicates - self.dropped
+
     def unexplained(self, present: int) -> int:
         """Received messages that are neither among the `present` ones in storage nor accounted for."""
-        return self.received - self.early - self.duplicates - self.dropped - present if self.exact else 0
+        return self.accounted - present if self.exact else 0
 
 
 def add_up(documents: Iterable[Mapping[str, Any]]) -> dict[str, AuditSum]:

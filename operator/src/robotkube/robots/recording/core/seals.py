@@ -1,13 +1,13 @@
 """The verification of a recording's manifests: that its documents are those that its writers sealed, all of them. Pure.
 
 A writer's manifest counts when its chain is whole and its seal holds, or when a later writer that sealed went on behind
-it. The key of a seal is compared with what the writer noted on its volume when it began.
+it. Key, heads and seal are compared with what the writer noted on its volume.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,10 +19,11 @@ from robotkube.robots.recording.core.manifests import (
     entry_of,
     is_journals,
 )
-from robotkube.robots.recording.core.writer_manifests import WriterManifest, read_statement
+from robotkube.robots.recording.core.writer_manifests import WriterManifest
+from robotkube.robots.recording.core.writer_notes import WriterNotes, contradiction, with_noted_seal
 
-Notes = Mapping[str, Mapping[int, Sequence[str]] | None]
-"""Volume -> life -> lines that the writer noted there; None when the volume is not within reach."""
+Notes = Mapping[str, Mapping[int, WriterNotes] | None]
+"""Volume -> life -> what the writer noted there; None when the volume is not within reach."""
 
 NO_MANIFEST = (
     "has no manifest: it was recorded before there were any, or its manifest and the notes on its volume are gone; "
@@ -46,11 +47,17 @@ class SealExamination:
     _given_up: Counter[str] = field(default_factory=Counter)
 
     def __post_init__(self) -> None:
+        name = str(self.recording["_id"])
+        self.manifests = [with_noted_seal(name, manifest, self._notes_of(manifest)) for manifest in self.manifests]
         counted = {manifest.life for manifest in self.manifests if manifest.sealed or self._continued(manifest)}
         for manifest in self.manifests:
             for part in manifest.parts if manifest.life in counted else ():
                 for group in part["groups"]:
                     self._allow(group)
+
+    def _notes_of(self, manifest: WriterManifest) -> WriterNotes:
+        """What the writer of a manifest has noted, as far as it is within reach."""
+        return (self.notes.get(manifest.volume) or {}).get(manifest.life) or WriterNotes()
 
     def _allow(self, group: Mapping[str, Any]) -> None:
         data = bytes(group["entries"])
@@ -61,10 +68,17 @@ class SealExamination:
             self._sealed[name] = place
 
     def _continued(self, manifest: WriterManifest) -> bool:
-        """True when a later writer that sealed went on behind this one, as it is."""
-        last = len(manifest.parts), manifest.heads[-1] if manifest.parts else ""
-        return not manifest.problem and any(
-            later.sealed and later.before.get(manifest.life) == last for later in self.manifests
+        """True when a later writer that sealed went on behind this one, as it is, or as it was before the last parts
+        that the volume has the head of: one that is deleted by force may outlive the start of the next."""
+        if manifest.problem:
+            return False
+        parts = len(manifest.parts)
+        noted = self._notes_of(manifest).last == (parts, manifest.heads[-1])
+        later = [one.before for one in self.manifests if one.sealed]
+        ends = [before[manifest.life] for before in later if manifest.life in before]
+        return any(
+            (number == parts or (noted and number < parts)) and head == (manifest.heads[number] if number else "")
+            for number, head in ends
         )
 
     def check(self, collection: str, document: Mapping[str, Any]) -> None:
@@ -128,26 +142,51 @@ class SealExamination:
         """What cannot be said, in words, although nothing contradicts."""
         if not self.manifests:
             return [NO_MANIFEST]
-        reservations = []
+        reservations = list(self._lost_parts())
         if self._last is not None and self._last["document"] is None:
             reservations.append("nobody has sealed the recording's own document: the database was away to the end")
         sealed = [manifest for manifest in self.manifests if manifest.sealed]
         for manifest in () if self.keys else sealed:
-            noted = self.notes.get(manifest.volume)
-            if noted is None:
-                why = f"{manifest.volume} is not within reach (--segments <node>/<claim>=<folder>)"
-            elif _keys(noted.get(manifest.life, ())):
+            if self._notes_of(manifest).keys:
                 continue
+            if self.notes.get(manifest.volume) is None:
+                why = f"{manifest.volume} is not within reach (--segments <node>/<claim>=<folder>)"
             else:
                 why = f"{manifest.volume} has no note of it"
             text = f"the key of writer {manifest.life} is the database's word alone: {why}"
             reservations.append(f"{text}; compare it with the writer's log, or give it by --key")
         return reservations
 
+    def _lost_parts(self) -> Iterator[str]:
+        """What writers sealed on their volumes, of which the database had less when a later writer went on."""
+        known = {manifest.life: manifest for manifest in self.manifests}
+        for volume, life, notes in self._noted:
+            parts, _ = notes.sealed
+            manifest = known.get(life)
+            had = len(manifest.parts) if manifest else 0
+            later = self._continued(manifest) if manifest else self._passed_over(life)
+            if later and parts > had:
+                yield (
+                    f"writer {life} sealed {parts} parts on {volume}, of which the database had {had} when a later "
+                    "writer went on: what the others were of was lost with its process, or was taken away before"
+                )
+
+    @property
+    def _noted(self) -> Iterator[tuple[str, int, WriterNotes]]:
+        """Volume, life and notes of every writer that has noted something within reach, on the volume that is its."""
+        volumes = {manifest.life: manifest.volume for manifest in self.manifests}
+        for volume, noted in self.notes.items():
+            for life, notes in (noted or {}).items():
+                if volume == volumes.get(life, volume):
+                    yield volume, life, notes
+
     @property
     def _last(self) -> Mapping[str, Any] | None:
-        """The statement of the last writer that sealed."""
-        return next((one.statement for one in reversed(self.manifests) if one.sealed), None)
+        """The statement of the last writer that sealed: the one that no other went on behind, whatever its clock
+        said."""
+        sealed = [manifest for manifest in self.manifests if manifest.sealed]
+        followed = {life for manifest in sealed for life in manifest.before}
+        return next((one.statement for one in reversed(sealed) if one.life not in followed), None)
 
     @property
     def _unfinished(self) -> Sequence[str]:
@@ -159,29 +198,52 @@ class SealExamination:
             if manifest.problem:
                 yield f"the manifest of writer {manifest.life} does not hold: {manifest.problem}"
             elif not (manifest.sealed or self._continued(manifest)):
-                yield f"writer {manifest.life} has not sealed what it stored, and no later one went on behind it"
+                yield self._not_counted(manifest)
             if self.keys and manifest.sealed and manifest.key not in self.keys:
                 yield f"the key of writer {manifest.life} is none of those given by --key"
             for life in manifest.before if manifest.sealed else ():
                 if life not in known:
                     yield f"the manifest of writer {life} is gone, behind which writer {manifest.life} went on"
+        for key in self.keys:
+            if not self._explained(key):
+                yield (
+                    f"no manifest has the key {key[:16]}... that --key gives: the manifest of its writer was taken "
+                    "away, or the key is of another recording"
+                )
+
+    def _not_counted(self, manifest: WriterManifest) -> str:
+        later = next((one.life for one in self.manifests if one.sealed and manifest.life in one.before), None)
+        if later is None:
+            return f"writer {manifest.life} has not sealed what it stored, and no later one went on behind it"
+        return f"the manifest of writer {manifest.life} is not the one behind which writer {later} went on"
+
+    def _explained(self, key: str) -> bool:
+        """True when a given key is a manifest's, or that of a writer of which nothing had come to the database."""
+        return any(manifest.key == key for manifest in self.manifests) or any(
+            key in notes.keys and self._passed_over(life) for _, life, notes in self._noted
+        )
 
     def _note_problems(self) -> Iterable[str]:
         by_life = {manifest.life: manifest for manifest in self.manifests}
-        for volume, noted in self.notes.items():
-            for life, lines in (noted or {}).items():
-                manifest = by_life.get(life)
-                if manifest is None:
-                    if self._expected(life, lines):
-                        yield f"{volume} has a note of writer {life}, of which the database has no manifest"
-                elif manifest.volume == volume and _contradicts(manifest, lines):
-                    yield f"what writer {life} noted on {volume}, its key or its seal, is not what the database has"
+        for volume, life, notes in self._noted:
+            manifest = by_life.get(life)
+            if manifest is None:
+                if self._expected(life, notes):
+                    yield f"{volume} has a note of writer {life}, of which the database has no manifest"
+            elif what := contradiction(manifest, notes):
+                yield f"what writer {life} noted on {volume} is not what the database has: {what}"
+            elif notes.seals and not (manifest.sealed or self._continued(manifest)):
+                parts, _ = notes.sealed
+                yield f"writer {life} sealed {parts} parts on {volume}, of which the database has {len(manifest.parts)}"
 
-    def _expected(self, life: int, lines: Sequence[str]) -> bool:
-        """True when the database should have a manifest of this writer: it sealed, or nobody did; but not when a later
-        one that sealed went on without it, since nothing of it had come to the database."""
-        without = any(one.sealed and one.life > life and life not in one.before for one in self.manifests)
-        return not without and (bool(_seals(lines)) or not self.manifests)
+    def _passed_over(self, life: int) -> bool:
+        """True when a later writer that sealed went on without this one, of which nothing had come to the database."""
+        return any(one.sealed and one.life > life and life not in one.before for one in self.manifests)
+
+    def _expected(self, life: int, notes: WriterNotes) -> bool:
+        """True when the database should have a manifest of this writer: it had parts of it, or the writer sealed and
+        nobody went on without it, or there is no manifest at all."""
+        return bool(notes.heads) or (not self._passed_over(life) and (bool(notes.seals) or not self.manifests))
 
 
 def _only_gives_up(audit: Mapping[str, Any]) -> bool:
@@ -189,21 +251,3 @@ def _only_gives_up(audit: Mapping[str, Any]) -> bool:
     counted = sum(gap["count"] or 0 for gap in audit["gaps"])
     others = (audit["received"], audit["stored"], audit["early"], audit["duplicates"])
     return others == (0, 0, 0, 0) and audit["dropped"] == counted > 0
-
-
-def _values(lines: Sequence[str], name: str) -> list[Any]:
-    statements = [read_statement(line) or {} for line in lines]
-    return [statement[name] for statement in statements if name in statement]
-
-
-def _keys(lines: Sequence[str]) -> list[Any]:
-    return _values(lines, "key")
-
-
-def _seals(lines: Sequence[str]) -> list[Any]:
-    return _values(lines, "statement")
-
-
-def _contradicts(manifest: WriterManifest, lines: Sequence[str]) -> bool:
-    """True when the volume has another key or another seal of the writer than the database."""
-    return any(key != manifest.key for key in _keys(lines)) or any(text != manifest.text for text in _seals(lines))

@@ -20,6 +20,7 @@ from robotkube.robots.recording.core.ledgers import (
     TopicComparison,
     compare_topic,
 )
+from robotkube.robots.ros.core.topic_patterns import TopicPattern
 
 Window = tuple[int, int]
 
@@ -83,9 +84,23 @@ class TopicExamination:
         return [f"{count} {text}" for count, text in counts if count] + unaudited
 
     @property
-    def complete(self) -> bool:
-        """True when everything that was there to record is stored as it was."""
-        return not self.problems
+    def counted(self) -> bool:
+        """True when the audits' numbers are those of all writers: of one that was killed, or is at work, they are as it
+        wrote them last, and what it received after that is in none."""
+        audit = self.audit
+        return audit is not None and not audit.interrupted and audit.accounted >= self.stored
+
+    @property
+    def silent(self) -> bool:
+        """True when there is no message and no ledger says why: nobody knows whether there was anything to record."""
+        received = self.audit.received if self.audit else 0
+        return not (self.problems or self.stored or received or self.comparison)
+
+    @property
+    def complete(self) -> bool | None:
+        """True when everything that was there to record is stored as it was; None when nobody knows, for want of any
+        message."""
+        return None if self.silent else not self.problems
 
 
 def examine(
@@ -94,16 +109,25 @@ def examine(
     ledgers: Mapping[str, Sequence[LedgerLine]],
     window: Window,
     latched: Collection[str] = (),
+    listed: Collection[str] = (),
 ) -> list[TopicExamination]:
-    """Examine every topic that is stored, audited or in a ledger. Ledgers are compared within `window`, both ends
-    included. `latched`: topics of which every new subscription gets the last message again."""
+    """Examine every topic that is stored, audited or in a ledger, and those `listed`, names or patterns, that none of
+    them fits. Ledgers are compared within `window`, both ends included. `latched`: topics of which every new
+    subscription gets the last message again."""
     by_topic: dict[str, list[StoredMessage]] = {topic: [] for topic in (*audits, *ledgers)}
     for message in stored:
         by_topic.setdefault(message.topic, []).append(message)
+    by_topic |= {name: [] for name in without_any(listed, by_topic)}
     return [
         _examine(topic, messages, audits.get(topic), ledgers.get(topic), window, topic in latched)
         for topic, messages in sorted(by_topic.items())
     ]
+
+
+def without_any(listed: Iterable[str], topics: Collection[str]) -> list[str]:
+    """The `listed` names and patterns that none of the topics fits."""
+    patterns = [TopicPattern(text) for text in listed]
+    return [one.text for one in patterns if all(one.agent(topic) is None for topic in topics)]
 
 
 def _examine(

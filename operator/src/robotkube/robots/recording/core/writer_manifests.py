@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from robotkube.robots.recording.core.manifests import ENTRY_BYTES, FORM, first_head, next_head
@@ -77,17 +77,21 @@ def _manifest(
         heads.append(head)
     whole = len(heads) == len(ordered) + 1
     problem = "" if whole else f"its part {len(heads)} is not there, or was changed"
-    text = begun["statement"] or ""
-    statement = read_statement(text) if text else None
-    if text and not problem:
-        expected = {
-            "form": FORM, "recording": recording, "life": life, "volume": begun["volume"], "key": begun["key"],
-            "parts": len(ordered), "head": heads[-1],
-        }  # fmt: skip
-        problem = _wrong(statement, expected, text, str(begun["signature"] or ""), begun["key"])
-    return WriterManifest(
-        life, begun["volume"], begun["key"], ordered[: len(heads) - 1], heads, statement, text, problem
+    manifest = WriterManifest(
+        life, begun["volume"], begun["key"], ordered[: len(heads) - 1], heads, None, begun["statement"] or "", problem
     )
+    return sealed_by(recording, manifest, manifest.text, str(begun["signature"] or "")) if manifest.text else manifest
+
+
+def sealed_by(recording: str, manifest: WriterManifest, text: str, signature: str) -> WriterManifest:
+    """The manifest with a seal, or with the problem why that is none."""
+    statement = read_statement(text)
+    expected = {
+        "form": FORM, "recording": recording, "life": manifest.life, "volume": manifest.volume, "key": manifest.key,
+        "parts": len(manifest.parts), "head": manifest.heads[-1],
+    }  # fmt: skip
+    problem = manifest.problem or _wrong(statement, expected, text, signature, manifest.key)
+    return replace(manifest, statement=statement, text=text, problem=problem)
 
 
 def read_statement(text: str) -> Mapping[str, Any] | None:

@@ -55,7 +55,7 @@ class Listener(Protocol):
         ...
 
     def acknowledged(self, write: Write, now: int) -> None:
-        """Note that the database has these new messages since `now`, ns."""
+        """Note that the database has this new document since `now`, ns."""
         ...
 
 
@@ -335,7 +335,7 @@ class Journal:
         now = self._place.clock_ns()
         self.counts.acknowledged += len(writes)
         for write in writes:
-            if not messages_of(write)[1]:
+            if write.update:
                 continue
             if write.collection == INDEX:
                 self.add([Write(INDEX, write.id, {"stored": now}, update=True, size=100)])

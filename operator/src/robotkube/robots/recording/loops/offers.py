@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any
 
+from robotkube.errors import InputError
 from robotkube.robots.recording.core.documents import (
     AUDITS,
     DOCUMENT_BYTES_MAX,
@@ -20,6 +21,7 @@ from robotkube.robots.recording.core.documents import (
     Received,
     SegmentPlace,
 )
+from robotkube.robots.recording.core.writer_notes import WriterNotes
 from robotkube.robots.recording.loops.recording_audits import Arrival
 from robotkube.robots.recording.ports import Segments
 
@@ -68,10 +70,11 @@ class PendingAppend:
 
 @dataclass(frozen=True, slots=True)
 class PriorContents:
-    """What the database has of earlier recorders of the same recording: collection and document, samples without
-    data."""
+    """What the database has of earlier recorders of the same recording: collection and document, samples without data.
+    `notes`: life -> what they had noted on this recorder's volume before that was read."""
 
     documents: Sequence[tuple[str, Mapping[str, Any]]]
+    notes: Mapping[int, WriterNotes]
 
     @property
     def recording(self) -> Mapping[str, Any]:
@@ -100,6 +103,16 @@ class PriorContents:
                 yield bucket["topic"], sample["stamp"], sample["sha256"]
         for entry in self._of(INDEX):
             yield entry["topic"], entry["stamp"], entry["sha256"]
+
+    def refuse_another_task(self, document: Mapping[str, Any]) -> None:
+        """Refuse, with an InputError, to go on with what another task than this `document`'s began: it would be two
+        recordings in one."""
+        own, earlier = ((one.get("provenance") or {}).get("task") for one in (document, self.recording))
+        if own and earlier and own != earlier:
+            raise InputError(
+                f"task {earlier} began it, and this recorder's task is {own}; name the reaction's `recording` after "
+                "namespace and task, as {{ task.namespace }}.{{ task.name }}"
+            )
 
     def _of(self, collection: str) -> list[Mapping[str, Any]]:
         return [document for name, document in self.documents if name == collection]

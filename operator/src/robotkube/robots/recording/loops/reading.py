@@ -31,6 +31,7 @@ from robotkube.robots.recording.core.ledgers import (
 )
 from robotkube.robots.recording.core.seals import SealExamination
 from robotkube.robots.recording.core.writer_manifests import read_manifests
+from robotkube.robots.recording.core.writer_notes import WriterNotes, by_life
 from robotkube.robots.recording.ports import RecordingReader, SegmentReader
 
 NOTHING: Mapping[str, Collection[str]] = {}
@@ -144,12 +145,12 @@ def begin_examination(
     return examination
 
 
-def _notes(segments: SegmentReader, volume: str, recording: str) -> dict[int, Sequence[str]] | None:
+def _notes(segments: SegmentReader, volume: str, recording: str) -> dict[int, WriterNotes] | None:
     try:
         noted = segments.notes(volume, recording)
     except UnavailableError:
         return None
-    return {int(life): lines for life, lines in noted.items() if life.isdecimal()}
+    return by_life(noted)
 
 
 def read_ledger(lines: Iterable[str], where: str) -> list[LedgerLine]:

@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+from robotkube.errors import InputError
 from robotkube.robots.recording.core.audits import QUEUE, VOLUME
 from robotkube.robots.recording.core.documents import (
     AUDITS,
@@ -195,11 +196,13 @@ class Recorder:
 
     def introduce(self, store: RecordingStore) -> None:
         """Read what an earlier recorder of this recording has stored."""
-        self._prior = PriorContents(list(store.documents(self.recording)))
+        notes = self._manifest.earlier_notes()  # before: what is noted is in the database already
+        self._prior = PriorContents(list(store.documents(self.recording)), notes)
         self._wake.set()
 
     def acknowledged(self, write: Write, now: int) -> None:
-        """Count acknowledged messages; remember and log the first large one of each topic."""
+        """Count acknowledged messages; remember and log the first large one of each topic; note parts of manifests."""
+        self._manifest.acknowledge(write)
         topic, stamps = messages_of(write)
         self.counts.acknowledged += len(stamps)
         if write.collection == INDEX and topic not in self.counts.first_stored:
@@ -216,6 +219,9 @@ class Recorder:
                 self._wake.clear()
             self._await_prior()
             self.finish()
+        except InputError as error:
+            self.failed = f"recording {self.recording}: {error}"
+            log.error("recording %s: %s", self.recording, error)
         except Exception as error:  # an error of our own: the process must not go on as if it recorded
             self.failed = f"recording {self.recording}: {type(error).__name__}: {error}"
             log.exception("%s", self.failed)
@@ -311,6 +317,7 @@ class Recorder:
             self._duplicates.admit(topic, stamp, sha256)
             stamps.setdefault(topic, []).append(stamp)
         self._duplicates.dropped = 0
+        prior.refuse_another_task(self._document)
         self._known = True
         self._earlier = prior.recording
         if prior.audits or stamps:

@@ -46,10 +46,8 @@ class McapSegmentReader:
     def notes(self, volume: str, recording: str) -> Mapping[str, Sequence[str]]:
         """The lines of `<recording>/<life>.manifest`, by life."""
         where = f"{volume}: {recording}"
-        folder = self._path(volume, recording, where)
         try:
-            files = sorted(folder.glob(f"*{NOTES}"))
-            return {file.stem: file.read_text(encoding="utf-8", errors="replace").splitlines() for file in files}
+            return noted_lines(self._path(volume, recording, where))
         except OSError as error:
             raise UnavailableError(f"{where}: {error.strerror}") from error
 
@@ -62,3 +60,9 @@ class McapSegmentReader:
         if not path.is_relative_to(root.resolve()):
             raise UnavailableError(f"{where}: leads out of the volume")
         return path
+
+
+def noted_lines(folder: Path) -> Mapping[str, Sequence[str]]:
+    """The lines of the files `<life>.manifest` in a recording's folder, by life; OSError when one cannot be read."""
+    files = sorted(folder.glob(f"*{NOTES}"))
+    return {file.stem: file.read_text(encoding="utf-8", errors="replace").splitlines() for file in files}
