@@ -43,6 +43,7 @@ CHECKS = {
 # Runs in a test namespace and tries what nothing there may do. Prints one check per attempt.
 BURGLAR = """
 import json, os, pathlib, sys, urllib.error, urllib.request
+from concurrent.futures import ThreadPoolExecutor
 
 FORGE, RUNNER, CUT_OFF = sys.argv[1], sys.argv[2], sys.argv[3] == "on"
 API = f"https://{os.environ['KUBERNETES_SERVICE_HOST']}"
@@ -74,7 +75,7 @@ secrets = [path for path in readable("/var/run/secrets") if ".." not in path]
 attempt("token", not [path for path in secrets if "token" in path], secrets)
 attempt("key", not [path for path in secrets if pathlib.Path(path).name not in names], secrets)
 attempt("environment", not [name for name in os.environ if "TOKEN" in name or "PASSWORD" in name])
-for name, url in {
+urls = {
     "deployment-repository": f"{FORGE}/robotkube/deployment.git/info/refs?service=git-upload-pack",
     "catalogue-repository": f"{FORGE}/api/v1/repos/robotkube/catalogue",
     "registry-staging": f"{FORGE}/v2/staging/mqtt-bridge/tags/list",
@@ -82,10 +83,13 @@ for name, url in {
     "secrets": f"{API}/api/v1/namespaces/robotkube-gate/secrets/gate-key",
     "own-secrets": f"{API}/api/v1/namespaces/robotkube-suite-0/secrets",
     "pods": f"{API}/api/v1/namespaces/robotkube-suite-0/pods",
-}.items():
-    found = status(url)
+}
+with ThreadPoolExecutor() as pool:  # each may have to time out
+    run = pool.submit(status, f"{RUNNER}/runs/" + "0" * 32, "PUT")
+    answers = list(pool.map(status, urls.values()))
+for (name, url), found in zip(urls.items(), answers):
     attempt(f"no {name}", "timed out" in str(found) if CUT_OFF else found in (401, 403, 404), f"{url}: {found}")
-found = status(f"{RUNNER}/runs/" + "0" * 32, "PUT")
+found = run.result()
 attempt("no runs without the token", "timed out" in str(found) if CUT_OFF else found == 401, found)
 for name, path in {"no settings": "/etc/planted", "no disk": "/planted"}.items():
     try:
