@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import signal
 import socket
+import threading
 import ssl
 import subprocess
 import time
@@ -241,6 +242,7 @@ def test_everybody_else_who_connects_verifies_it_as_well(broker: EncryptedBroker
     for name, said in ((NAME, taken), ("x", "its certificate is not for the name x")):
         with pytest.raises(UnavailableError, match=f"broker 127.0.0.1:{broker.port}: {said}"):
             PahoObserver(broker.account("observer", name), "observing")
+        assert [one.name for one in threading.enumerate() if "observing" in one.name] == []
     for name, complaint in ((NAME, ""), ("x", "no encrypted connection to the broker")):
         account = broker.account("manager", name)
         gateway = PahoGateway(account.host, account.port, account.username, account.password, "gateway", account.tls)

@@ -3,8 +3,10 @@
 import argparse
 import io
 import json
+import time
 from collections.abc import Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TextIO
 
 import pytest
@@ -116,7 +118,8 @@ def test_what_is_refused_is_withdrawn_again_when_that_is_asked_for(
         conditions = [{"type": "Accepted", "status": status, "reason": reason, **stamp}]
         api.merge(f"{TASKS}/refused/status", {"status": {"observedGeneration": 1, "conditions": conditions}})
 
-    monkeypatch.setattr(submit.time, "sleep", decide)
+    clock = SimpleNamespace(sleep=decide, monotonic=time.monotonic, time_ns=time.time_ns)  # threads have their own
+    monkeypatch.setattr(submit, "time", clock)
     code, out, err = line.run(*words, "--name", "refused", "--output", "json")
     assert (code, json.loads(out)["state"]) == (1, "Refused (NoCapableNode)")
     assert "withdrawn, since it was refused: cloud-0/refused" in err

@@ -15,7 +15,8 @@ from robotkube.registry.evidence.core.statements import Artefact, Check
 MARKER = "<!-- robotkube: publication -->"
 PROBLEMS_SHOWN_MAX = 50
 CHECKS_SHOWN_MAX = 20  # failed ones of a suite
-TEXT_CHARACTERS_MAX = 600
+TEXT_CHARACTERS_MAX = 600  # of what suites quote
+SENTENCE_CHARACTERS_MAX = 1_000  # of problems, which name images with their digests in their midst
 REPORT_CHARACTERS_MAX = 60_000  # of 65,535 that forges take
 
 CHECKING, WAITING, VERIFIED, REFUSED, UNCHANGED = "checking", "waiting", "verified", "refused", "unchanged"
@@ -176,7 +177,7 @@ def quoted(text: str) -> str:
 
 def plain(text: str) -> str:
     """`text` as one line in which nothing is a link, a mention or HTML."""
-    line = shortened(" ".join(text.split()), TEXT_CHARACTERS_MAX)
+    line = shortened(" ".join(text.split()), SENTENCE_CHARACTERS_MAX)
     for character in "\\`*_[]<>|":
         line = line.replace(character, f"\\{character}" if character != "<" else "&lt;")
     return line.replace("@", "&#64;")

@@ -47,6 +47,7 @@ class PahoObserver:
             raise UnavailableError(f"broker {account.host}:{account.port}: {words}") from error
         client.loop_start()
         if not self._subscribed.wait(CONNECT_SECONDS_MAX) or self._refusal:
+            self.close()
             raise UnavailableError(f"broker {account.host}:{account.port}: {self._refusal or 'does not answer'}")
 
     def receive(self) -> list[BrokerMessage]:
