@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import signal
 import socket
-import threading
 import ssl
 import subprocess
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -270,8 +270,11 @@ def test_probes_leave_no_words_in_the_log(broker: EncryptedBroker) -> None:
     assert [line for line in log.splitlines() if "OpenSSL" in line or "Client" in line] == []
 
 
-def test_the_container_ends_at_once_with_its_program(broker: EncryptedBroker) -> None:
-    """The program is mosquitto itself, so a kubelet's signal reaches it, and its end is the container's."""
+def test_the_container_ends_at_once_with_its_program(broker: EncryptedBroker, turned: Turned) -> None:
+    """The program is mosquitto itself, so a kubelet's signal reaches it, and its end is the container's. Who answers a
+    client has begun to take signals, too."""
+    vehicle, _ = turned.add(broker.account("vehicle-00"), "vehicle-00-telemetry")
+    turned.until(lambda: vehicle.complaint is None, "connected")
     assert Path(f"/proc/{broker.process.pid}/comm").read_text().strip() == "mosquitto"
     assert broker.children()
     assert broker.stop() == 0

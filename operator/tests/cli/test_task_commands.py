@@ -193,8 +193,8 @@ def test_every_change_is_a_line_with_its_own_time() -> None:
 def test_times_with_and_without_microseconds_stand_in_one_column() -> None:
     stream = io.StringIO()
     rest = {"task": "a/b", "condition": "Ready", "status": "True", "reason": "Observed", "message": "all  of\nit"}
-    for time in ("2026-11-21T10:00:00Z", "2026-11-21T10:00:02.482913Z", ""):
-        watch.write_change({**rest, "time": time}, "table", stream)
+    for at in ("2026-11-21T10:00:00Z", "2026-11-21T10:00:02.482913Z", ""):
+        watch.write_change({**rest, "time": at}, "table", stream)
     assert stream.getvalue().splitlines() == [
         "2026-11-21T10:00:00Z         a/b  Ready=True  Observed  all of it",
         "2026-11-21T10:00:02.482913Z  a/b  Ready=True  Observed  all of it",
