@@ -9,18 +9,11 @@ build/bench/application-manager.json.
 
 from __future__ import annotations
 
-import json
-import os
 import statistics
-import subprocess
-import sys
 
 from benchmarks.application_manager import record_merge_latency
-from benchmarks.measuring import Comparison
+from benchmarks.measuring import Comparison, staged
 from benchmarks.registry import record
-from ci import preparing
-from ci.errors import SetUpError
-from ci.folders import PROJECT
 
 PLANS = 50
 ALLOWANCE_MS = 150.0
@@ -30,16 +23,7 @@ SECONDS_MAX = 600
 
 def measure() -> dict[str, list[float]]:
     """Milliseconds of each round, by what was measured."""
-    folders = os.pathsep.join(str(path) for path in (PROJECT, PROJECT / "operator" / "src", PROJECT / "operator"))
-    environment = {**os.environ, "PYTHONPATH": folders, preparing.TOOLCHAIN_VARIABLE: str(preparing.tool_chain())}
-    command = [sys.executable, "-m", "tests.stages.delivery.merge_latency", str(PLANS)]
-    done = subprocess.run(
-        command, env=environment, cwd=PROJECT, capture_output=True, text=True, timeout=SECONDS_MAX, check=False
-    )
-    if done.returncode:
-        raise SetUpError(f"{command[2]} ended with {done.returncode}: {done.stderr[-2000:]}")
-    milliseconds: dict[str, list[float]] = json.loads(done.stdout.splitlines()[-1])
-    return milliseconds
+    return staged("delivery.merge_latency", PLANS, SECONDS_MAX)
 
 
 def p95(values: list[float]) -> float:

@@ -6,12 +6,19 @@ Only the ratio of the two is judged; seconds alone would say more about the mach
 from __future__ import annotations
 
 import json
+import os
 import statistics
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from ci import preparing
+from ci.errors import SetUpError
+from ci.folders import PROJECT
 
 
 @dataclass(frozen=True)
@@ -67,3 +74,18 @@ def record(path: Path, values: Mapping[str, Any]) -> None:
     kept = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(kept | dict(values), indent=1, sort_keys=True) + "\n", encoding="utf-8")
+
+
+def staged(module: str, count: int, seconds_max: float) -> dict[str, list[float]]:
+    """Milliseconds of each of `count` rounds by what was measured, as a module of the tests' stages measures them on
+    real programs. SetUpError with its last words when it fails."""
+    folders = os.pathsep.join(str(path) for path in (PROJECT, PROJECT / "operator" / "src", PROJECT / "operator"))
+    environment = {**os.environ, "PYTHONPATH": folders, preparing.TOOLCHAIN_VARIABLE: str(preparing.tool_chain())}
+    command = [sys.executable, "-m", f"tests.stages.{module}", str(count)]
+    done = subprocess.run(
+        command, env=environment, cwd=PROJECT, capture_output=True, text=True, timeout=seconds_max, check=False
+    )
+    if done.returncode:
+        raise SetUpError(f"{command[2]} ended with {done.returncode}: {done.stderr[-2000:]}")
+    milliseconds: dict[str, list[float]] = json.loads(done.stdout.splitlines()[-1])
+    return milliseconds

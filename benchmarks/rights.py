@@ -7,17 +7,10 @@ rest) to build/bench/links.json. Where the forge's part alone leaves no room for
 
 from __future__ import annotations
 
-import json
-import os
-import subprocess
-import sys
 from dataclasses import asdict
 
 from benchmarks.links import RECORD
-from benchmarks.measuring import Comparison, quantiles, record
-from ci import preparing
-from ci.errors import SetUpError
-from ci.folders import PROJECT
+from benchmarks.measuring import Comparison, quantiles, record, staged
 
 ROUNDS = 20
 GOAL_MS = 1000.0
@@ -27,16 +20,7 @@ SECONDS_MAX = 600
 
 def measure(count: int = ROUNDS) -> dict[str, list[float]]:
     """Milliseconds of each round, by what was measured."""
-    folders = os.pathsep.join(str(path) for path in (PROJECT, PROJECT / "operator" / "src", PROJECT / "operator"))
-    environment = {**os.environ, "PYTHONPATH": folders, preparing.TOOLCHAIN_VARIABLE: str(preparing.tool_chain())}
-    command = [sys.executable, "-m", "tests.stages.delivery.rights_latency", str(count)]
-    done = subprocess.run(
-        command, env=environment, cwd=PROJECT, capture_output=True, text=True, timeout=SECONDS_MAX, check=False
-    )
-    if done.returncode:
-        raise SetUpError(f"{command[2]} ended with {done.returncode}: {done.stderr[-2000:]}")
-    milliseconds: dict[str, list[float]] = json.loads(done.stdout.splitlines()[-1])
-    return milliseconds
+    return staged("delivery.rights_latency", count, SECONDS_MAX)
 
 
 def compare() -> list[Comparison]:

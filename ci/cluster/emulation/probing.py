@@ -148,12 +148,15 @@ def _sent(source: socket.socket) -> bool:
 
 
 def _arrived(target: socket.socket) -> list[float]:
-    found: list[float] = []
-    while True:
-        try:
-            found.append(_received(target)[1])
-        except BlockingIOError:
-            return found
+    """When the kernel had each of the packets that wait now."""
+    return list(iter(lambda: _next_arrival(target), None))
+
+
+def _next_arrival(target: socket.socket) -> float | None:
+    try:
+        return _received(target)[1]
+    except BlockingIOError:
+        return None
 
 
 def _mbit(arrivals: Sequence[float]) -> float | None:

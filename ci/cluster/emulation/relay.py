@@ -13,7 +13,9 @@ import argparse
 import json
 import random
 import select
+import signal
 import socket
+import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -118,7 +120,9 @@ def main() -> None:
     settings = json.loads((folders.base / f"{NAME}.settings.json").read_text(encoding="utf-8"))
     by_source = {one.source: one for one in directions(settings["cables"])}
     reported, due = None, 0.0
-    while True:
+    stopping = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: stopping.set())
+    while not stopping.is_set():
         if time.monotonic() >= due:
             due = time.monotonic() + REPORT_SECONDS
             report = RelayReport(dropped=sum(one.dropped() for one in by_source.values()))
