@@ -63,6 +63,12 @@ class Platform:
         scope = f"/namespaces/{namespace}" if namespace else ""
         return client.ResourceWatch(self._api, f"/apis/{GROUP}/{VERSION}{scope}/{PLURAL}", "", dict, changed)
 
+    def watch_of_agents(
+        self, kind: str, reduce: Callable[[Mapping[str, Any]], Any], changed: Callable[[str, Any, Any], None]
+    ) -> client.ResourceWatch:
+        """A watch on what agents have of a kind (`pods`, `nodes`), each reduced by `reduce`."""
+        return client.ResourceWatch(self._api, f"/api/v1/{kind}", AGENT_LABEL, reduce, changed)
+
     def pods(self) -> Sequence[Mapping[str, Any]]:
         """The pods of agents' releases."""
         return self._items("/api/v1/pods", [("labelSelector", AGENT_LABEL)])
@@ -73,14 +79,18 @@ class Platform:
 
     def detector_events(self) -> Mapping[str, Mapping[str, Any]]:
         """The pages `/events` of the event detectors that answer, by `<namespace>/<pod>`."""
-        pages: dict[str, Mapping[str, Any]] = {}
+        return {name: read_json_shortened(page) for name, page in self._detector_pages("events")}
+
+    def detector_metrics(self) -> Mapping[str, str]:
+        """The pages `/metrics` of the event detectors that answer, by `<namespace>/<pod>`."""
+        return {name: page.decode() for name, page in self._detector_pages("metrics")}
+
+    def _detector_pages(self, path: str) -> Iterator[tuple[str, bytes]]:
         for pod in self._items("/api/v1/pods", [("labelSelector", DETECTOR_SELECTOR)]):
-            namespace = pod["metadata"]["namespace"]
-            name = pod["metadata"]["name"]
+            namespace, name = pod["metadata"]["namespace"], pod["metadata"]["name"]
             with contextlib.suppress(KeyError, RefusalError, UnavailableError):
-                page = f"/api/v1/namespaces/{namespace}/pods/{name}:8081/proxy/events"
-                pages[f"{namespace}/{name}"] = self._read("GET", page)
-        return pages
+                page = f"/api/v1/namespaces/{namespace}/pods/{name}:8081/proxy/{path}"
+                yield f"{namespace}/{name}", client.call(self._api, "GET", page).data
 
     def withdraw(self, key: str, dry_run: bool) -> None:
         """Delete a task."""

@@ -16,7 +16,7 @@ from robotkube.cli.platform import AGENT_LABEL, Platform
 from robotkube.delivery.rights.core.accounts import Accounts, AgentAccount
 from robotkube.delivery.rights.core.origins import Revocation, revocations
 from robotkube.delivery.rights.settings import read_accounts
-from robotkube.errors import InputError
+from robotkube.errors import InputError, did_you_mean
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.forge.adapters.git import GitHistory, fetch_history
@@ -60,8 +60,9 @@ def declared_agent(accounts: Accounts, name: str) -> AgentAccount:
     for agent in accounts.agents:
         if agent.name == name:
             return agent
-    known = ", ".join(agent.name for agent in accounts.agents) or "none"
-    raise InputError(f"no agent {name} is declared; there are: {known}")
+    known = [agent.name for agent in accounts.agents]
+    instead = f"{did_you_mean(name, known)}there are: {', '.join(known) or 'none'}"
+    raise InputError(f"no agent {name} is declared; {instead}")
 
 
 def list_agents(options: argparse.Namespace) -> Table:
