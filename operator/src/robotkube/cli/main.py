@@ -93,10 +93,26 @@ COMMANDS = (
     Command(
         "agent",
         "list",
-        "agents, whether their accounts at the broker are open or revoked, and their Nodes",
+        "agents, whether their accounts at the broker are open, and what their Nodes say",
         "agents.accounts",
         "list_agents",
         "reading",
+    ),
+    Command(
+        "agent",
+        "enroll",
+        "propose that a reserved agent be enrolled; once it is, write the file with which its machine joins",
+        "agents.enrolling",
+        "enroll_agent",
+        "enrolling",
+    ),
+    Command(
+        "agent",
+        "withdraw",
+        "propose that an enrolled agent leave the fleet: its releases go, its account is shut",
+        "agents.enrolling",
+        "withdraw_agent",
+        "withdrawing",
     ),
     Command(
         "agent",

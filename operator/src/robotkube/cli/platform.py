@@ -7,6 +7,7 @@ import base64
 import contextlib
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from robotkube.cli.gate_presence import GATE, GatePresence, presence
@@ -239,6 +240,13 @@ class Platform:
                 "of your own are its owner's"
             )
         return text
+
+    def api_server(self) -> tuple[str, str]:
+        """The API server's address and the PEM of the authority that the kubeconfig verifies it by, empty when it names
+        none."""
+        configuration = self._api.configuration
+        authority = configuration.ssl_ca_cert
+        return str(configuration.host), Path(authority).read_text(encoding="utf-8") if authority else ""
 
     def agent_nodes(self) -> Sequence[Mapping[str, Any]]:
         """The Nodes of agents."""
