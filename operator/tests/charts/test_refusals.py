@@ -21,6 +21,7 @@ VEHICLE = {"name": "vehicle-00", "role": "vehicle"}
 CLOUD = {"name": "cloud-0", "role": "cloud"}
 PUBLIC_KEY = "-----BEGIN PUBLIC KEY-----\nMCowBQYDK2VwAyEA\n-----END PUBLIC KEY-----\n"
 
+CLIENT = {"clientId": "a", "url": "https://console.example", "groups": ["a"]}
 PODS = {"podSelector": {"matchLabels": {"app": "prometheus"}}}
 ANYWHERE = [{"to": [{"ipBlock": {"cidr": "0.0.0.0/0"}}]}]
 
@@ -45,6 +46,18 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
     "a remover that nobody tells": (
         {"inspection": {"enabled": False}, "remover": {"enabled": True}},
         "remover.enabled is true, but inspection.enabled is false: nobody names what is to be removed. Set inspection.",
+    ),
+    "a console that nobody may read": (
+        {"console": {"enabled": True}},
+        "console.enabled is true, but nobody may read: console.signIn.issuer is empty. Name the provider",
+    ),
+    "a provider without a client": (
+        {"console": {"enabled": True, "signIn": {"issuer": "https://forge.example"}}},
+        "console.signIn: issuer needs clientId (of the client at the provider), url",
+    ),
+    "signing in, and everybody": (
+        {"console": {"enabled": True, "anybodyReads": True, "signIn": {"issuer": "https://forge.example", **CLIENT}}},
+        "console.anybodyReads is true, but console.signIn.issuer is set. Take one of the two out.",
     ),
     "name that is no label": (
         {"agents": [CLOUD, {**VEHICLE, "name": "Vehicle_1"}]},
