@@ -114,7 +114,7 @@ def pod(ready: bool = True, **status: Any) -> dict[str, Any]:
     container = {"name": "main", "ready": ready, "restartCount": 0, "state": {"running": {"startedAt": TIME}}}
     condition = {"type": "ContainersReady", "status": str(ready), "lastTransitionTime": "2026-11-21T10:00:12Z"}
     labels = {"app.kubernetes.io/instance": "recorder", "app.kubernetes.io/name": "event-detector"}
-    environment = [{"name": "ROBOTKUBE_CONFIGMAP", "value": "recorder"}]
+    environment = [{"name": "ROBOTKUBE_CONFIGMAP", "value": "cloud-0/recorder"}]
     return {
         "metadata": {"namespace": "cloud-0", "name": "recorder-0", "labels": labels},
         "spec": {"nodeName": "cloud-0", "containers": [{"name": "main", "env": environment}]},

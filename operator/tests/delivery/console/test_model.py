@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from robotkube.delivery.console.adapters.cluster_documents import agent_document, release_documents
+from robotkube.delivery.console.adapters.cluster_documents import agent_document, pod_document, release_documents
+from robotkube.delivery.console.adapters.cluster_watches import read_shown_pod
 from robotkube.delivery.console.core import table as kinds
 from robotkube.delivery.console.core.documents import stranger_documents, task_document
 from robotkube.delivery.console.loops import model as model_module
@@ -134,6 +135,20 @@ def test_events_and_rules_come_from_detectors_and_rules_go_with_them(model: Read
     there.clear()
     assert reader.step()
     assert not model.documents(kinds.RULES)
+
+
+def test_a_pod_of_a_detector_that_is_ready_is_asked_for_its_pages() -> None:
+    assert read_shown_pod(given.pod())["detector"] == DETECTOR
+    assert read_shown_pod(given.pod(ready=False))["detector"].host == ""
+    other = given.pod()
+    other["metadata"]["labels"]["app.kubernetes.io/name"] = "mqtt-bridge"
+    assert read_shown_pod(other)["detector"] is None
+
+
+def test_what_a_container_fails_by_is_said() -> None:
+    waiting = {"name": "main", "restartCount": 3, "state": {"waiting": {"reason": "ImagePullBackOff", "message": "no"}}}
+    document = pod_document(given.pod(ready=False, containerStatuses=[waiting]))
+    assert (document["trouble"], document["restarts"]) == ("container main: ImagePullBackOff: no", 3)
 
 
 def test_an_agent_has_its_nodes_its_hold_and_since_when_it_is_silent() -> None:

@@ -129,10 +129,10 @@ def read_shown_pod(item: Object) -> dict[str, Any]:
 def _detector(item: Object, document: Object) -> Detector:
     spec, status = item.get("spec") or {}, item.get("status") or {}
     environment = (variable for one in spec.get("containers") or () for variable in one.get("env") or ())
-    config_map = next((str(v.get("value") or "") for v in environment if v["name"] == CONFIG_MAP_VARIABLE), "")
+    settings = next((str(v.get("value") or "") for v in environment if v["name"] == CONFIG_MAP_VARIABLE), "")
     host = str(status.get("podIP") or "") if document["ready"] else ""
     name = f"{document['namespace']}/{document['name']}"
-    return Detector(name, document["release"], f"[{host}]" if ":" in host else host, config_map)
+    return Detector(name, document["release"], f"[{host}]" if ":" in host else host, settings.rpartition("/")[2])
 
 
 class ConfigMapSettings:
