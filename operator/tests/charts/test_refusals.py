@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from tests.stages.console_refusals import CONSOLE_REFUSALS
 from tests.stages.paths import CHARTS
 from tests.stages.tls_refusals import TLS_REFUSALS
 
@@ -21,12 +22,12 @@ VEHICLE = {"name": "vehicle-00", "role": "vehicle"}
 CLOUD = {"name": "cloud-0", "role": "cloud"}
 PUBLIC_KEY = "-----BEGIN PUBLIC KEY-----\nMCowBQYDK2VwAyEA\n-----END PUBLIC KEY-----\n"
 
-CLIENT = {"clientId": "a", "url": "https://console.example", "groups": ["a"]}
 PODS = {"podSelector": {"matchLabels": {"app": "prometheus"}}}
 ANYWHERE = [{"to": [{"ipBlock": {"cidr": "0.0.0.0/0"}}]}]
 
 REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
     **TLS_REFUSALS,
+    **CONSOLE_REFUSALS,
     "pods of which namespace": (
         {"networkPolicies": {"metrics": {"from": [PODS]}}},
         "networkPolicies.metrics.from[0]: podSelector alone means pods of whichever namespace a policy stands in.",
@@ -46,18 +47,6 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
     "a remover that nobody tells": (
         {"inspection": {"enabled": False}, "remover": {"enabled": True}},
         "remover.enabled is true, but inspection.enabled is false: nobody names what is to be removed. Set inspection.",
-    ),
-    "a console that nobody may read": (
-        {"console": {"enabled": True}},
-        "console.enabled is true, but nobody may read: console.signIn.issuer is empty. Name the provider",
-    ),
-    "a provider without a client": (
-        {"console": {"enabled": True, "signIn": {"issuer": "https://forge.example"}}},
-        "console.signIn: issuer needs clientId (of the client at the provider), url",
-    ),
-    "signing in, and everybody": (
-        {"console": {"enabled": True, "anybodyReads": True, "signIn": {"issuer": "https://forge.example", **CLIENT}}},
-        "console.anybodyReads is true, but console.signIn.issuer is set. Take one of the two out.",
     ),
     "name that is no label": (
         {"agents": [CLOUD, {**VEHICLE, "name": "Vehicle_1"}]},

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from robotkube.delivery.console.adapters.web.application import Console, Surroundings
+from robotkube.delivery.console.adapters.web.application import Console, ConsoleSurroundings
 from robotkube.delivery.console.adapters.web.openid_connect import OpenIdConnect
 from robotkube.delivery.console.adapters.web.people import People
 from robotkube.delivery.console.core.sessions import SESSION_SECONDS, SESSIONS_MAX, Sessions
@@ -25,7 +25,7 @@ class Browser:
     def __init__(self, provider: AccountProvider, settings: SignIn = SETTINGS) -> None:
         self.provider = provider
         people = People(settings, OpenIdConnect(settings, provider.client))
-        around = Surroundings(["console.example"], settings.encrypted)
+        around = ConsoleSurroundings(["console.example"], settings.encrypted)
         self.console = Console(ReadModel("e", lambda: 7), people, around)
         self.client = Client(self.console.app, settings.url)
 

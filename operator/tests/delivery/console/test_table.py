@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from robotkube.delivery.console.core.table import AGENTS, TASKS, Change, Table, resume_id, resumed_version
+from robotkube.delivery.console.core.table import AGENTS, TASKS, ItemTable, TableChange, resume_id, resumed_version
 
 KEYS = ("a", "b", "c", "d")
 WRITES = st.tuples(st.sampled_from((AGENTS, TASKS)), st.sampled_from(KEYS), st.none() | st.integers(0, 2))
@@ -24,7 +24,7 @@ class Reader:
         self.items: dict[tuple[str, str], str] = {}
         self.resyncs = 0
 
-    def ask(self, table: Table) -> Change:
+    def ask(self, table: ItemTable) -> TableChange:
         """Ask and take the answer; a snapshot where the table cannot tell."""
         change = table.since(self.version)
         if change is None:
@@ -43,20 +43,20 @@ def pairs(keys: Mapping[str, Sequence[str]]) -> Iterator[tuple[str, str]]:
     return ((kind, key) for kind, names in keys.items() for key in names)
 
 
-def write(table: Table, kind: str, key: str, value: int | None) -> None:
+def write(table: ItemTable, kind: str, key: str, value: int | None) -> None:
     if value is None:
         table.remove(kind, key)
     else:
         table.put(kind, key, {"value": value})
 
 
-def contents(table: Table) -> dict[tuple[str, str], str]:
+def contents(table: ItemTable) -> dict[tuple[str, str], str]:
     return {(kind, key): text for kind, items in table.whole().items.items() for key, text in items.items()}
 
 
 @given(st.lists(WRITES | READS, max_size=60), st.integers(1, 6))
 def test_whoever_asks_whenever_has_the_table(steps: list[Any], gone_max: int) -> None:
-    table = Table(gone_max)
+    table = ItemTable(gone_max)
     readers = [Reader(), Reader(), Reader()]
     for step in steps:
         if isinstance(step, tuple):
@@ -72,7 +72,7 @@ def test_whoever_asks_whenever_has_the_table(steps: list[Any], gone_max: int) ->
 
 @given(st.lists(WRITES, max_size=60), st.integers(0, 60))
 def test_a_change_has_each_item_once_and_only_what_changed(writes: list[Any], version: int) -> None:
-    table = Table()
+    table = ItemTable()
     expected: set[tuple[str, str]] = set()
     for one in writes:
         before = table.version
@@ -86,7 +86,7 @@ def test_a_change_has_each_item_once_and_only_what_changed(writes: list[Any], ve
 
 
 def test_the_same_document_again_is_no_change() -> None:
-    table = Table()
+    table = ItemTable()
     assert table.put(AGENTS, "a", {"x": 1})
     assert not table.put(AGENTS, "a", {"x": 1})
     assert not table.remove(AGENTS, "b")
@@ -95,11 +95,11 @@ def test_the_same_document_again_is_no_change() -> None:
 
 def test_a_version_that_was_never_reached_is_not_resumed() -> None:
     """After a restart with the same epoch there would be no other way to see it."""
-    assert Table().since(1) is None
+    assert ItemTable().since(1) is None
 
 
 def test_who_is_older_than_what_is_remembered_of_gone_items_reads_anew() -> None:
-    table = Table(gone_max=1)
+    table = ItemTable(gone_max=1)
     for key in KEYS[:3]:
         table.put(AGENTS, key, {})
     table.remove(AGENTS, "a")

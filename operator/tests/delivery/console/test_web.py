@@ -15,12 +15,12 @@ from jsonschema import Draft202012Validator
 
 from robotkube.delivery.console.adapters.cluster_documents import agent_document, pod_documents, release_documents
 from robotkube.delivery.console.adapters.web import streams as streaming
-from robotkube.delivery.console.adapters.web.application import Console, Surroundings
+from robotkube.delivery.console.adapters.web.application import Console, ConsoleSurroundings
 from robotkube.delivery.console.adapters.web.page_files import read_files
 from robotkube.delivery.console.adapters.web.people import People
 from robotkube.delivery.console.core import table as kinds
 from robotkube.delivery.console.core.documents import rule_documents, stranger_documents, task_document
-from robotkube.delivery.console.core.rate_limits import Rate, RateLimits
+from robotkube.delivery.console.core.rate_limits import RateLimits, RequestRate
 from robotkube.delivery.console.loops.model import ReadModel
 from robotkube.errors import InputError
 from tests.delivery.console import documents as given
@@ -61,7 +61,7 @@ class Open:
 
     def __init__(self, model: ReadModel, **around: Any) -> None:
         self.model = model
-        self.console = Console(model, People(None), Surroundings(hosts=["testserver"], **around))
+        self.console = Console(model, People(None), ConsoleSurroundings(hosts=["testserver"], **around))
         self.client = Client(self.console.app)
 
     def get(self, path: str, **more: Any) -> Any:
@@ -272,7 +272,7 @@ def test_one_source_asks_at_most_so_often(console: Open) -> None:
 
 
 def test_a_bucket_fills_again_and_of_too_many_sources_the_oldest_is_forgotten() -> None:
-    limits = RateLimits(Rate(burst=1, per_second=2), sources_max=1)
+    limits = RateLimits(RequestRate(burst=1, per_second=2), sources_max=1)
     assert limits.wait_seconds("a", 10.0) == 0
     assert limits.wait_seconds("a", 10.0) == pytest.approx(0.5)
     assert limits.wait_seconds("a", 10.5) == 0

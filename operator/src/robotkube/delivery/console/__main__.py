@@ -18,7 +18,7 @@ from kubernetes import client
 from robotkube.delivery.console.adapters.broker_poses import BrokerPoses
 from robotkube.delivery.console.adapters.cluster_watches import ClusterWatches, ConfigMapSettings
 from robotkube.delivery.console.adapters.http_pages import HttpPages
-from robotkube.delivery.console.adapters.web.application import Console, Surroundings
+from robotkube.delivery.console.adapters.web.application import Console, ConsoleSurroundings
 from robotkube.delivery.console.adapters.web.page_files import read_files
 from robotkube.delivery.console.adapters.web.people import People
 from robotkube.delivery.console.adapters.web.server import AsgiServer
@@ -53,7 +53,7 @@ class ConsoleProcess:
         sign_in = configuration.sign_in
         page = read_files(configuration.page)
         encrypted = sign_in is not None and sign_in.encrypted
-        around = Surroundings(configuration.hosts, encrypted, configuration.links, page)
+        around = ConsoleSurroundings(configuration.hosts, encrypted, configuration.links, page)
         self.console = Console(self.model, People(sign_in), around)
         self.server = AsgiServer(
             self.console.app, configuration.listen.address, configuration.listen.port, configuration.proxies

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from robotkube.delivery.console.core.chains import View
-from robotkube.delivery.console.core.table import Change, Document
+from robotkube.delivery.console.core.table import Document, TableChange
 
 
 @dataclass(frozen=True)
@@ -57,11 +57,11 @@ class ModelReading(Protocol):
         """The version now."""
         ...
 
-    def whole(self) -> Change:
+    def whole(self) -> TableChange:
         """All items."""
         ...
 
-    def since(self, version: int) -> Change | None:
+    def since(self, version: int) -> TableChange | None:
         """What changed after a version; None when that cannot be told."""
         ...
 

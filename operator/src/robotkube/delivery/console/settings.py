@@ -24,7 +24,7 @@ TEXT = re.compile(r"[^\0\n]{1,500}")
 
 
 @dataclass(frozen=True)
-class Poses:
+class PoseSource:
     """Where poses come from: the broker, and the topic of an agent's."""
 
     broker: BrokerAccount
@@ -46,7 +46,7 @@ class ConsoleConfiguration:
     proxies: tuple[str, ...]
     links: Mapping[str, str]
     page: Path | None
-    poses: Poses | None
+    poses: PoseSource | None
     sign_in: SignIn | None
 
 
@@ -95,14 +95,14 @@ def _managers(reader: Reader, value: Any) -> Sequence[ManagerPages]:
     return managers
 
 
-def _poses(reader: Reader, root: Mapping[str, Any]) -> Poses | None:
+def _poses(reader: Reader, root: Mapping[str, Any]) -> PoseSource | None:
     if root.get("poses") is None:
         return None
     poses = reader.mapping(root["poses"], "poses", ["topic"])
     topic = reader.word(poses.get("topic"), "poses.topic", TOPIC)
     if topic.split("/").count(MARK) != 1:
         reader.problems.append(f"poses.topic: must have {MARK} as one of its levels, such as mqtt/vehicles/{MARK}/pose")
-    return Poses(read_broker(reader, root.get("broker")), topic)
+    return PoseSource(read_broker(reader, root.get("broker")), topic)
 
 
 def _sign_in(reader: Reader, root: Mapping[str, Any]) -> SignIn | None:

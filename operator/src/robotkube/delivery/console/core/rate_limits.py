@@ -9,7 +9,7 @@ SOURCES_MAX = 10_000
 
 
 @dataclass(frozen=True)
-class Rate:
+class RequestRate:
     """`burst` requests at once, and `per_second` for as long as it likes."""
 
     burst: float
@@ -19,7 +19,7 @@ class Rate:
 class RateLimits:
     """The buckets of all sources; of too many the one that asked longest ago is forgotten."""
 
-    def __init__(self, rate: Rate, sources_max: int = SOURCES_MAX) -> None:
+    def __init__(self, rate: RequestRate, sources_max: int = SOURCES_MAX) -> None:
         self._rate = rate
         self._sources_max = sources_max
         self._left: OrderedDict[str, tuple[float, float]] = OrderedDict()  # requests left, and when

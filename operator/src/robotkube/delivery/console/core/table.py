@@ -32,7 +32,7 @@ class Item:
 
 
 @dataclass(frozen=True)
-class Change:
+class TableChange:
     """What changed up to `version`: texts of items by kind and key, and keys of items that went."""
 
     version: int
@@ -43,7 +43,7 @@ class Change:
         return bool(self.items or self.gone)
 
 
-class Table:
+class ItemTable:
     """The items. Not for several threads."""
 
     def __init__(self, gone_max: int = GONE_MAX) -> None:
@@ -94,12 +94,12 @@ class Table:
         """How many items of a kind there are."""
         return len(self._items[kind])
 
-    def whole(self) -> Change:
+    def whole(self) -> TableChange:
         """All items."""
         items = {kind: {key: item.text for key, item in items.items()} for kind, items in self._items.items() if items}
-        return Change(self.version, items)
+        return TableChange(self.version, items)
 
-    def since(self, version: int) -> Change | None:
+    def since(self, version: int) -> TableChange | None:
         """What changed after `version`; None when that cannot be told: it is too old, or was never reached."""
         if not self._floor <= version <= self.version:
             return None
@@ -111,7 +111,7 @@ class Table:
                 gone.setdefault(kind, []).append(key)
             else:
                 items.setdefault(kind, {})[key] = item.text
-        return Change(self.version, items, {kind: tuple(keys) for kind, keys in gone.items()})
+        return TableChange(self.version, items, {kind: tuple(keys) for kind, keys in gone.items()})
 
     def _after(self, version: int) -> Iterator[tuple[str, str]]:
         for name, changed in reversed(self._changed.items()):

@@ -20,7 +20,7 @@ from robotkube.delivery.console.core.documents import (
     event_of_task,
     plan_documents,
 )
-from robotkube.delivery.console.core.table import Change, Table
+from robotkube.delivery.console.core.table import ItemTable, TableChange
 from robotkube.foundation.runtime.ports import Series, by_one
 
 EVENTS_MAX = 5000
@@ -35,7 +35,7 @@ class ReadModel:
     def __init__(self, epoch: str, now_ms: Callable[[], int]) -> None:
         self.epoch = epoch
         self.now_ms = now_ms
-        self._table = Table()
+        self._table = ItemTable()
         self._lock = threading.RLock()
         self._listeners: list[Callable[[], None]] = []
         self._catalogues: dict[str, Document] = {}
@@ -45,7 +45,7 @@ class ReadModel:
         self._listeners.append(changed)
 
     @contextmanager
-    def _changing(self) -> Iterator[Table]:
+    def _changing(self) -> Iterator[ItemTable]:
         with self._lock:
             before = self._table.version
             yield self._table
@@ -61,12 +61,12 @@ class ReadModel:
         """The version now."""
         return self._table.version
 
-    def whole(self) -> Change:
+    def whole(self) -> TableChange:
         """All items."""
         with self._lock:
             return self._table.whole()
 
-    def since(self, version: int) -> Change | None:
+    def since(self, version: int) -> TableChange | None:
         """What changed after a version; None when that cannot be told."""
         with self._lock:
             return self._table.since(version)
@@ -173,14 +173,14 @@ class ReadModel:
             )
 
 
-def _put(table: Table, kind: str, key: str, document: Document | None) -> None:
+def _put(table: ItemTable, kind: str, key: str, document: Document | None) -> None:
     if document is None:
         table.remove(kind, key)
     else:
         table.put(kind, key, document)
 
 
-def _replace(table: Table, kind: str, documents: Documents, among: Callable[[str, Document], bool]) -> None:
+def _replace(table: ItemTable, kind: str, documents: Documents, among: Callable[[str, Document], bool]) -> None:
     for key, document in table.documents(kind).items():
         if key not in documents and among(key, document):
             table.remove(kind, key)
@@ -188,14 +188,14 @@ def _replace(table: Table, kind: str, documents: Documents, among: Callable[[str
         table.put(kind, key, document)
 
 
-def _demanded(table: Table, release: Document) -> Document:
+def _demanded(table: ItemTable, release: Document) -> Document:
     """The release with the tasks that ask for it, as their statuses say."""
     tasks = table.documents(kinds.TASKS).items()
     demands = [key for key, task in tasks if release["release"] in task["releases"] and not task["withdrawn"]]
     return {**release, "demands": sorted(demands)}
 
 
-def _bound_events(table: Table) -> None:
+def _bound_events(table: ItemTable) -> None:
     """The oldest events go when there are too many: those that ended first."""
     if table.count(kinds.EVENTS) <= EVENTS_MAX:
         return

@@ -37,7 +37,7 @@ PREFIX = "robotkube_console_"
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class ConsoleSurroundings:
     """What is around the model: names by which browsers come, whether by TLS, addresses of other pages, the page's
     files."""
 
@@ -50,7 +50,7 @@ class Surroundings:
 class Console:
     """The application (`app`, ASGI) over a model."""
 
-    def __init__(self, model: ModelReading, people: People, surroundings: Surroundings) -> None:
+    def __init__(self, model: ModelReading, people: People, surroundings: ConsoleSurroundings) -> None:
         self._model = model
         self._people = people
         self._around = surroundings

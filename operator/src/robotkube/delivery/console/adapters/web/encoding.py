@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 
-from robotkube.delivery.console.core.table import Change, resume_id
+from robotkube.delivery.console.core.table import TableChange, resume_id
 
 
-def snapshot_text(whole: Change, epoch: str, now_ms: int, links: Mapping[str, str]) -> str:
+def snapshot_text(whole: TableChange, epoch: str, now_ms: int, links: Mapping[str, str]) -> str:
     """The document of a snapshot."""
     head = _members(
         id=json.dumps(resume_id(epoch, whole.version)),
@@ -21,7 +21,7 @@ def snapshot_text(whole: Change, epoch: str, now_ms: int, links: Mapping[str, st
     return f"{{{head}}}"
 
 
-def change_text(change: Change, epoch: str, now_ms: int) -> str:
+def change_text(change: TableChange, epoch: str, now_ms: int) -> str:
     """The document of a change."""
     members = _members(
         id=json.dumps(resume_id(epoch, change.version)),
@@ -38,7 +38,7 @@ def items_text(items: Mapping[str, str]) -> str:
     return f"{{{','.join(f'{json.dumps(key)}:{text}' for key, text in items.items())}}}"
 
 
-def _items(change: Change) -> str:
+def _items(change: TableChange) -> str:
     kinds = (f"{json.dumps(kind)}:{items_text(items)}" for kind, items in change.items.items())
     return f"{{{','.join(kinds)}}}"
 

@@ -11,7 +11,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from robotkube.delivery.console.adapters.web.problems import ProblemError
-from robotkube.delivery.console.core.rate_limits import Rate, RateLimits
+from robotkube.delivery.console.core.rate_limits import RateLimits, RequestRate
 
 POLICY = "; ".join(
     (
@@ -35,8 +35,8 @@ HEADERS: Mapping[str, str] = {
     "Permissions-Policy": "geolocation=(), camera=(), microphone=()",
 }
 TRANSPORT = "max-age=31536000"
-REQUESTS = Rate(burst=120, per_second=20)
-SIGN_INS = Rate(burst=20, per_second=0.2)
+REQUESTS = RequestRate(burst=120, per_second=20)
+SIGN_INS = RequestRate(burst=20, per_second=0.2)
 
 
 class Guard:

@@ -7,14 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from typing import Any
+from urllib.parse import urlencode, urlsplit
 
 import httpx
 
-from robotkube.delivery.console.core.signing_in import Person, Provider, SignIn, read_person, read_provider
+from robotkube.delivery.console.core.signing_in import Person, Provider, SignIn, challenge, read_person, read_provider
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
 
 TIMEOUT_SECONDS = 10.0
+SCOPES = ("openid", "profile", "groups")
 DISCOVERY = "/.well-known/openid-configuration"
 
 
@@ -60,6 +62,21 @@ class OpenIdConnect:
             return read_person(claims, self._settings.username_claim, self._settings.groups_claim)
         except ValueError as error:
             raise InputError(f"{provider.userinfo} {error}") from error
+
+
+def authorization_url(provider: Provider, settings: SignIn, state: str, verifier: str) -> str:
+    """Where a browser is sent to sign in."""
+    query = {
+        "response_type": "code",
+        "client_id": settings.client_id,
+        "redirect_uri": settings.redirect,
+        "scope": " ".join(SCOPES),
+        "state": state,
+        "code_challenge": challenge(verifier),
+        "code_challenge_method": "S256",
+    }
+    separator = "&" if urlsplit(provider.authorization).query else "?"
+    return f"{provider.authorization}{separator}{urlencode(query)}"
 
 
 def _client() -> httpx.AsyncClient:

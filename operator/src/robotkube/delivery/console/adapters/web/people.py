@@ -10,10 +10,10 @@ from typing import Any
 from starlette.requests import Request
 from starlette.responses import RedirectResponse, Response
 
-from robotkube.delivery.console.adapters.web.openid_connect import OpenIdConnect
+from robotkube.delivery.console.adapters.web.openid_connect import OpenIdConnect, authorization_url
 from robotkube.delivery.console.adapters.web.problems import LOGIN, ProblemError
 from robotkube.delivery.console.core.sessions import SESSION_SECONDS, SIGNING_IN_SECONDS, Session, Sessions
-from robotkube.delivery.console.core.signing_in import SignIn, authorization_url, place_to_return
+from robotkube.delivery.console.core.signing_in import SignIn, place_to_return
 from robotkube.errors import InputError, RobotKubeError
 
 ONLY_READS = "This console only reads. Ask for tasks by `robotkube task submit`."
@@ -80,7 +80,7 @@ class People:
             log.warning("sign-in is not possible reason=%s", error)
             raise ProblemError(503, "The provider of accounts does not answer", str(error), 10.0) from error
         key, begun = self._sessions.begin(place_to_return(request.query_params.get("back", "/")))
-        url = authorization_url(addresses, settings.client_id, settings.redirect, begun.state, begun.verifier)
+        url = authorization_url(addresses, settings, begun.state, begun.verifier)
         answer = RedirectResponse(url, 302, {"Cache-Control": "no-store"})
         self._set(answer, self._begun_cookie, key, SIGNING_IN_SECONDS)
         return answer
