@@ -86,8 +86,8 @@ def test_the_console_reads_the_settings_the_chart_writes(helm: Any, official: An
     ports = {port["name"]: port["containerPort"] for port in container["ports"]}
     assert ports == {"http": settings.listen.port, "health": settings.listen.health_port}
     anybody: Any = {"enabled": True, "anybodyReads": True, "signIn": {"issuer": ""}}
-    elsewhere = {"kind": "external", "external": {"host": "broker.example", "port": 8883}}
-    rendered = helm.template(CHARTS / "robotkube", PROFILES / "official.yaml", console=anybody, broker=elsewhere)
+    elsewhere: Any = {"broker": {"kind": "external", "external": {"host": "mqtt.example"}}, "tls": {"mode": "off"}}
+    rendered = helm.template(CHARTS / "robotkube", PROFILES / "official.yaml", console=anybody, **elsewhere)
     settings = read_settings(mounted(rendered, "console", tmp_path / "other"), console.read_configuration)
     assert (settings.sign_in, settings.poses) == (None, None)
 

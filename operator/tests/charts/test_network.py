@@ -37,7 +37,7 @@ STATED: Object = {  # what people state on a cluster of their own
     "kubelets": {"to": [{"ipBlock": {"cidr": "172.18.0.4/32"}}]},
     "clients": {
         key: [{"ipBlock": {"cidr": "192.0.2.10/32"}}]
-        for key in ("forge", "manager", "gate", "rights", "broker", "database")
+        for key in ("forge", "manager", "gate", "rights", "console", "broker", "database")
     },
     "metrics": {"from": [MONITORING]},
 }

@@ -67,8 +67,9 @@ class ConsoleProcess:
         )
 
     def _wake(self) -> None:
-        for reader in (*self._managers, self._detectors):
-            reader.wake()
+        for manager in self._managers:
+            manager.wake()
+        self._detectors.wake()
 
     def run(self, stopping: threading.Event) -> None:
         """Read and serve until `stopping` is set."""

@@ -27,7 +27,7 @@ from robotkube.delivery.console.core import chains
 from robotkube.delivery.console.core import table as kinds
 from robotkube.delivery.console.core.table import resume_id, resumed_version
 from robotkube.delivery.console.ports import ModelReading
-from robotkube.foundation.runtime.ports import Series
+from robotkube.foundation.runtime.ports import Series, by_one
 
 COMPRESSED_BYTES_MIN = 1024
 ID_CHARACTERS_MAX = 600
@@ -148,7 +148,7 @@ class Console:
 
     def metrics(self) -> list[Series]:
         """What was answered, and who reads."""
-        answers = {(status,): float(count) for status, count in self._answers.items()}
+        answers = by_one({status: float(count) for status, count in self._answers.items()})
         open_streams, resyncs = float(self.streams.wakeups.count), float(self.streams.resyncs)
         return [
             Series(f"{PREFIX}answers_total", "counter", "Answers by kind of status.", answers, ("status",)),
