@@ -27,7 +27,7 @@
 
 {{- /* Names that neither a manager nor a person may have. */ -}}
 {{- define "robotkube.platformNames" -}}
-administrator admission argocd bootstrap broker certificates database default forge gate gate-key image-publisher inspector nodes observer own-images publisher remover rights robotkube staging staging-publisher suite-runner teardown verified
+administrator admission argocd bootstrap broker certificates console database default forge gate gate-key image-publisher inspector nodes observer own-images publisher remover rights robotkube staging staging-publisher suite-runner teardown verified
 {{- end }}
 
 {{- /* Who hears from the forge. Each has a secret of its own, so that none can speak to another in the forge's name. */ -}}

@@ -31,6 +31,7 @@
 {{- if not (include "robotkube.remover" . | fromYaml).enabled }}{{ $_ := set $found "remover" list }}{{ end }}
 {{- if not .Values.admission.enabled }}{{ $_ := set $found "admission" list }}{{ end }}
 {{- if not (include "robotkube.rights" . | fromYaml).enabled }}{{ $_ := set $found "rights" list }}{{ end }}
+{{- if not (include "robotkube.console" . | fromYaml).enabled }}{{ $_ := set $found "console" list }}{{ end }}
 {{- if not (include "robotkube.certificatesMade" .) }}{{ $_ := set $found "certificates" list }}{{ end }}
 {{- if .Values.evidence.existingSecret }}{{ $_ := set $found "gate-key" list }}{{ end }}
 {{- $_ := set $found "collector" list }}

@@ -12,6 +12,7 @@ import httpx
 import pytest
 import yaml
 
+from robotkube.delivery.console import settings as console
 from robotkube.delivery.deployment.core.policies.initial import InitialPolicy, read_initial_policy
 from robotkube.delivery.gate import __main__ as gate
 from robotkube.delivery.inspection import __main__ as inspector
@@ -72,6 +73,23 @@ def test_the_remover_reads_the_settings_the_chart_writes(official: Any, tmp_path
     assert settings.namespace == "robotkube"
     [container] = dict(official.pods)["Deployment/remover"]["containers"]
     assert container["ports"] == [{"name": "health", "containerPort": settings.listen.port}]
+
+
+def test_the_console_reads_the_settings_the_chart_writes(helm: Any, official: Any, tmp_path: Path) -> None:
+    settings = read_settings(mounted(official, "console", tmp_path), console.read_configuration)
+    assert settings.sign_in is not None
+    assert settings.sign_in.redirect == "https://console.example/auth/callback"
+    assert {"console.example", "localhost", "console.robotkube.svc.cluster.local"} <= settings.hosts
+    assert settings.poses is not None
+    assert settings.poses.broker.username == "observer"
+    [container] = dict(official.pods)["Deployment/console"]["containers"]
+    ports = {port["name"]: port["containerPort"] for port in container["ports"]}
+    assert ports == {"http": settings.listen.port, "health": settings.listen.health_port}
+    anybody: Any = {"enabled": True, "anybodyReads": True, "signIn": {"issuer": ""}}
+    elsewhere: Any = {"broker": {"kind": "external", "external": {"host": "mqtt.example"}}, "tls": {"mode": "off"}}
+    rendered = helm.template(CHARTS / "robotkube", PROFILES / "official.yaml", console=anybody, **elsewhere)
+    settings = read_settings(mounted(rendered, "console", tmp_path / "other"), console.read_configuration)
+    assert (settings.sign_in, settings.poses) == (None, None)
 
 
 def test_the_inspector_judges_the_gates_namespace_as_the_platforms(helm: Any, tmp_path: Path) -> None:

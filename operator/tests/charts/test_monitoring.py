@@ -57,7 +57,7 @@ def test_every_pod_with_a_page_is_read(watched: Any) -> None:
             assert platform["jobLabel"] in template["metadata"]["labels"]
     assert read == {
         *("manager", "gate", "suite-runner", "inspector", "remover"),
-        *("admission", "rights", "certificates"),
+        *("admission", "rights", "certificates", "console"),
     }
     agents = {one["metadata"]["name"] for one in watched.of_kind("Namespace")} & {"vehicle-00", "vehicle-01", "cloud-0"}
     assert set(monitors["robotkube-applications"]["namespaceSelector"]["matchNames"]) == agents != set()

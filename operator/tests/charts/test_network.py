@@ -37,7 +37,7 @@ STATED: Object = {  # what people state on a cluster of their own
     "kubelets": {"to": [{"ipBlock": {"cidr": "172.18.0.4/32"}}]},
     "clients": {
         key: [{"ipBlock": {"cidr": "192.0.2.10/32"}}]
-        for key in ("forge", "manager", "gate", "rights", "broker", "database")
+        for key in ("forge", "manager", "gate", "rights", "console", "broker", "database")
     },
     "metrics": {"from": [MONITORING]},
 }
@@ -91,9 +91,9 @@ def policies(objects: Sequence[Object]) -> list[NetworkPolicy]:
 
 def meaning(everybody: Mapping[str, NetworkPeer], recording: Sequence[str]) -> dict[str, set[str]]:
     """The names of the table: which pods each means."""
-    names = ["manager", "suite-runner", "inspector", "remover", "rights", "certificates", "forge", "broker", "database"]
+    names = ["manager", "suite-runner", "inspector", "rights", "certificates", "forge", "broker", "database", *OPTIONAL]
     found = {name: {f"robotkube/{name}"} for name in (*names, "bootstrap", "teardown")}
-    found["remover"] &= set(everybody)  # where it is installed
+    found |= {name: found[name] & set(everybody) for name in OPTIONAL}
     found["manager"].add("robotkube/manager-again")
     found["gate"] = {"robotkube-gate/gate"}
     found["gate-key"] = {name for name in everybody if name.startswith("robotkube/gate-key-")}
@@ -149,6 +149,7 @@ def difference(found: set[Reach], wanted: set[Reach]) -> dict[str, list[Reach]]:
     return {"allowed, not in the table": sorted(found - wanted), "denied, in the table": sorted(wanted - found)}
 
 
+OPTIONAL = ("remover", "console")  # where they are installed
 NOTHING: dict[str, list[Reach]] = {"allowed, not in the table": [], "denied, in the table": []}
 FREE = ("kube-system/", "monitoring/", "default/")  # namespaces that are not ours: nobody denies anything there
 

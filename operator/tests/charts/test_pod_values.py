@@ -23,6 +23,7 @@ WORKLOADS = {
     "inspection": "Deployment/inspector",
     "remover": "Deployment/remover",
     "rights": "Deployment/rights",
+    "console": "Deployment/console",
     "certificates": "Deployment/certificates",
     "broker": "Deployment/broker",
     "database": "StatefulSet/database",

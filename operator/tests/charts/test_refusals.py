@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from tests.stages.console_refusals import CONSOLE_REFUSALS
 from tests.stages.paths import CHARTS
 from tests.stages.tls_refusals import TLS_REFUSALS
 
@@ -26,6 +27,7 @@ ANYWHERE = [{"to": [{"ipBlock": {"cidr": "0.0.0.0/0"}}]}]
 
 REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
     **TLS_REFUSALS,
+    **CONSOLE_REFUSALS,
     "pods of which namespace": (
         {"networkPolicies": {"metrics": {"from": [PODS]}}},
         "networkPolicies.metrics.from[0]: podSelector alone means pods of whichever namespace a policy stands in.",

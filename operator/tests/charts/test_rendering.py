@@ -23,7 +23,7 @@ PROFILES = ("official", "embedded")
 PLATFORM_CPU_MAX = 1.2
 PLATFORM = CHARTS / "robotkube"
 PROFILE = Path(__file__).parent / "profiles" / "official.yaml"
-REMOVER, AGENTS = "Deployment/remover", ("vehicle-00", "vehicle-01", "cloud-0")
+OPTIONAL, AGENTS = {"Deployment/remover", "Deployment/console"}, ("vehicle-00", "vehicle-01", "cloud-0")
 WRITE_VERBS = {"create", "update", "patch", "delete", "deletecollection", "*", "bind", "escalate", "impersonate"}
 
 
@@ -83,7 +83,7 @@ def made_keys(platform: Any) -> int:
 
 
 def test_every_pod_of_the_platform_runs_restricted(platform: Any) -> None:
-    assert len(platform.pods) == 11 + (REMOVER in dict(platform.pods)) + made_keys(platform)
+    assert len(platform.pods) == 11 + len(OPTIONAL & set(dict(platform.pods))) + made_keys(platform)
     assert {name: found for name, pod in platform.pods if (found := restricted_problems(pod))} == {}
 
 
@@ -175,9 +175,20 @@ def test_the_manager_may_write_nothing_but_tasks_events_and_its_lease(platform: 
     assert written == [["taskdescriptions"], ["taskdescriptions/status"], ["events"], ["leases"], ["events"]]
 
 
-def test_only_three_have_a_right_beyond_a_namespace(platform: Any) -> None:
-    names = sorted(role["metadata"]["name"] for role in platform.of_kind("ClusterRole"))
-    assert names == ["robotkube-inspector", "robotkube-manager", "robotkube-suite-runner"]
+def test_only_these_have_a_right_beyond_a_namespace(platform: Any) -> None:
+    names = {role["metadata"]["name"] for role in platform.of_kind("ClusterRole")}
+    consoles = {"robotkube-console"} if "Deployment/console" in dict(platform.pods) else set()
+    assert names == {"robotkube-inspector", "robotkube-manager", "robotkube-suite-runner"} | consoles
+
+
+def test_the_console_writes_nothing_and_reads_no_secret(official: Any) -> None:
+    roles = [
+        role for role in official.of_kind("Role", "ClusterRole") if role["metadata"]["name"] == "robotkube-console"
+    ]
+    rules = [rule for role in roles for rule in role["rules"]]
+    assert len(roles) == 3 + len(AGENTS)
+    assert {verb for rule in rules for verb in rule["verbs"]} == {"get", "list", "watch"}
+    assert "secrets" not in {resource for rule in rules for resource in rule["resources"]}
 
 
 def test_the_suite_runner_reads_numbers_of_nodes_and_nothing_else_of_them(platform: Any) -> None:
@@ -198,10 +209,10 @@ def test_the_gate_has_no_right_and_no_token(platform: Any) -> None:
         for subject in binding["subjects"]
         if subject.get("namespace") in ("robotkube", "robotkube-gate")
     ]
-    removers = {"remover"} if REMOVER in dict(platform.pods) else set()
+    optional = {name.partition("/")[2] for name in OPTIONAL & set(dict(platform.pods))}
     job = {"gate-key"} if made_keys(platform) else set()
     own = {"manager", "bootstrap", "teardown", "suite-runner", "inspector", "certificates"}
-    assert {name for name, _ in subjects} == own | removers | job
+    assert {name for name, _ in subjects} == own | optional | job
     pod = dict(platform.pods)["Deployment/gate"]
     assert pod["automountServiceAccountToken"] is False
     assert "serviceAccountToken" not in json.dumps(pod["volumes"])

@@ -30,6 +30,8 @@ INSTALLED = ("official", "managers", "admission")
 Rights = dict[str, str]
 
 READ = "get list watch"
+WATCHED = "list watch"
+RULES_OF_DETECTORS = {"configmaps": "get"}
 TASKS, STATUS = "taskdescriptions.robotkube.io", "taskdescriptions/status.robotkube.io"
 EVENTS, LEASES = "events.events.k8s.io", "leases.coordination.k8s.io"
 GROUP = "robotkube.io"
@@ -144,6 +146,12 @@ EXACTLY: dict[str, dict[str, Rights]] = {
     "robotkube:remover": {
         "robotkube": {INSPECTIONS: "list", f"inspections/status.{GROUP}": "patch", EVENTS: "create"},
         **dict.fromkeys(AGENTS, REMOVING),
+    },
+    "robotkube:console": {
+        "*": dict.fromkeys(("nodes", "pods", TASKS), WATCHED),
+        **dict.fromkeys(AGENTS, RULES_OF_DETECTORS),
+        "argocd": {"applications.argoproj.io": WATCHED},
+        "robotkube": {INSPECTIONS: WATCHED},
     },
     "robotkube:bootstrap": {"argocd": SET_UP},
     "robotkube:teardown": {"argocd": TEARING_DOWN},

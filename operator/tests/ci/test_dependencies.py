@@ -28,6 +28,7 @@ PLATFORM = (
     "robotkube.registry.admission.__main__",
     "robotkube.delivery.rights.__main__",
     "robotkube.delivery.certificates.__main__",
+    "robotkube.delivery.console.__main__",
     "robotkube.delivery.rights.first_file",
     "robotkube.registry.catalogue.adapters.bounded_validation",
     "robotkube.registry.suites.__main__",

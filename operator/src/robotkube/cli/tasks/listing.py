@@ -9,8 +9,9 @@ from typing import Any
 
 from robotkube.cli.output import Table
 from robotkube.cli.platform import Platform
-from robotkube.delivery.tasks.core.task_description import CONDITIONS, PRIORITY_DEFAULT
-from robotkube.foundation.kubernetes.core.objects import is_withdrawn, object_key
+from robotkube.delivery.tasks.core.task_description import PRIORITY_DEFAULT
+from robotkube.delivery.tasks.core.task_states import asked_for, task_state
+from robotkube.foundation.kubernetes.core.objects import object_key
 
 
 def listing(parser: argparse.ArgumentParser) -> None:
@@ -42,8 +43,8 @@ def row(task: Mapping[str, Any]) -> dict[str, Any]:
     spec = task.get("spec", {})
     return {
         "task": object_key(task),
-        "application": spec.get("application") or f"any that provides {spec.get('provides')}",
-        "state": state(task),
+        "application": asked_for(spec),
+        "state": task_state(task),
         "reason": spec.get("reason"),
         "requester": spec.get("requester"),
         "priority": spec.get("priority", PRIORITY_DEFAULT),
@@ -52,22 +53,6 @@ def row(task: Mapping[str, Any]) -> dict[str, Any]:
         "pull_request": status.get("pullRequest", {}).get("number"),
         "releases": status.get("releases", []),
     }
-
-
-def state(task: Mapping[str, Any]) -> str:
-    """The farthest condition that holds, or the reason of the one that does not."""
-    if is_withdrawn(task):
-        return "Withdrawn"
-    conditions = {c["type"]: c for c in task.get("status", {}).get("conditions", [])}
-    reached = "New"
-    for kind in CONDITIONS:
-        condition = conditions.get(kind)
-        if condition is None:
-            break
-        if condition["status"] != "True":
-            return f"{reached} ({condition['reason']})" if kind != "Accepted" else f"Refused ({condition['reason']})"
-        reached = kind
-    return reached
 
 
 def show_task(options: argparse.Namespace) -> Table:

@@ -13,11 +13,12 @@ from typing import Any
 
 from robotkube.cli.output import Table
 from robotkube.cli.platform import Platform
-from robotkube.cli.tasks.listing import row, state
+from robotkube.cli.tasks.listing import row
 from robotkube.delivery.tasks.adapters.kubernetes_tasks import KubernetesTasks
 from robotkube.delivery.tasks.core.mqtt_messages import own_event
 from robotkube.delivery.tasks.core.refusal_outlooks import without_outlook
 from robotkube.delivery.tasks.core.task_description import GROUP, INVALID_PARAMETERS, POSTPONED, VERSION
+from robotkube.delivery.tasks.core.task_states import task_state
 from robotkube.errors import DocumentError, InputError, RefusalError, UnavailableError, did_you_mean
 from robotkube.foundation.documents.core.patterns import PARAMETER_KEY
 from robotkube.foundation.documents.core.times import time_text
@@ -236,6 +237,6 @@ def _wait(platform: Platform, key: str, seconds: float) -> Table:
             return Table("task", (), [row(task)], single=True)
         if time.monotonic() > end:
             why = ready.get("message", "") if now else ""
-            text = f"not ready within {seconds:g} s: {state(task)}{f'; {why}' if why else ''}"
+            text = f"not ready within {seconds:g} s: {task_state(task)}{f'; {why}' if why else ''}"
             return Table("task", (), [row(task)], single=True, unreachable=text)
         time.sleep(POLL_SECONDS)

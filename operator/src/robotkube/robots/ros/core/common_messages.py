@@ -6,12 +6,15 @@ bytes. Stamps are integers in ns since 1970, positions metres.
 
 from __future__ import annotations
 
+import math
 import struct
 from typing import NamedTuple
 
 _LITTLE_HEADER, _BIG_HEADER = struct.Struct("<iI"), struct.Struct(">iI")
 _LITTLE_LENGTH, _BIG_LENGTH = struct.Struct("<I"), struct.Struct(">I")
 _LITTLE_POSITION, _BIG_POSITION = struct.Struct("<3d"), struct.Struct(">3d")
+_LITTLE_POSE, _BIG_POSE = struct.Struct("<7d"), struct.Struct(">7d")
+LEAST_SQUARE = 1e-9  # of a quaternion: below, it says nothing
 _ENCAPSULATION = 4
 LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 _FRAME_LENGTH = _ENCAPSULATION + 8
@@ -62,12 +65,33 @@ def pose_position(data: bytes) -> tuple[float, float, float]:
     little = data[1] & 1 if len(data) > 1 else 1
     try:
         (length,) = (_LITTLE_LENGTH if little else _BIG_LENGTH).unpack_from(data, _FRAME_LENGTH)
-        # doubles are aligned to 8 bytes, counted after the encapsulation
-        start = _ENCAPSULATION + (_FRAME_LENGTH - _ENCAPSULATION + 4 + length + 7) // 8 * 8
-        x, y, z = (_LITTLE_POSITION if little else _BIG_POSITION).unpack_from(data, start)
+        x, y, z = (_LITTLE_POSITION if little else _BIG_POSITION).unpack_from(data, _pose_start(length))
     except struct.error as error:
         raise ValueError(f"a message of {len(data)} bytes is no PoseStamped") from error
     return x, y, z
+
+
+def pose_and_heading(data: bytes) -> tuple[float, float, float, float | None]:
+    """x, y, z and the heading (yaw in radians, counter-clockwise from the x axis) of a serialised PoseStamped; the
+    heading is None when the orientation is none. ValueError when the message is too short, or has a number that is not
+    finite."""
+    little = data[1] & 1 if len(data) > 1 else 1
+    try:
+        (length,) = (_LITTLE_LENGTH if little else _BIG_LENGTH).unpack_from(data, _FRAME_LENGTH)
+        values = (_LITTLE_POSE if little else _BIG_POSE).unpack_from(data, _pose_start(length))
+    except struct.error as error:
+        raise ValueError(f"a message of {len(data)} bytes is no PoseStamped") from error
+    if not all(map(math.isfinite, values)):
+        raise ValueError("a pose with a number that is not finite")
+    x, y, z, qx, qy, qz, qw = values
+    square = qx * qx + qy * qy + qz * qz + qw * qw
+    heading = None if square < LEAST_SQUARE else math.atan2(2 * (qw * qz + qx * qy), square - 2 * (qy * qy + qz * qz))
+    return x, y, z, heading
+
+
+def _pose_start(frame_length: int) -> int:
+    """Where a pose begins behind a header; doubles are aligned to 8 bytes, counted after the encapsulation."""
+    return _ENCAPSULATION + (_FRAME_LENGTH - _ENCAPSULATION + 4 + frame_length + 7) // 8 * 8
 
 
 def string_text(data: bytes) -> bytes:

@@ -1,0 +1,88 @@
+{{- /* The values of console, also when an upgrade reuses values from before there were any. */ -}}
+{{- define "robotkube.console" -}}
+{{- $console := dict "enabled" false "anybodyReads" false "hosts" list "proxies" list "poseTopic" "mqtt/vehicles/{agent}/pose" }}
+{{- $_ := set $console "links" (dict "forge" "" "argocd" "") }}
+{{- $_ := set $console "signIn" (dict "issuer" "" "clientId" "" "secret" "" "url" "" "groups" list "usernameClaim" "preferred_username" "groupsClaim" "groups") }}
+{{- $_ := set $console "resources" (dict "requests" (dict "cpu" "50m" "memory" "128Mi") "limits" (dict "memory" "512Mi")) }}
+{{- range $key, $value := .Values.console | default dict }}
+{{- if has $key (list "links" "signIn") }}{{ $value = merge (deepCopy $value) (get $console $key) }}{{ end }}
+{{- $_ := set $console $key $value }}
+{{- end }}
+{{- toYaml $console }}
+{{- end }}
+
+{{- /* "true" where poses are shown: with a broker that is installed here, which has the account that may only read. */ -}}
+{{- define "robotkube.consolePoses" -}}
+{{- if eq .Values.broker.kind "mosquitto" }}true{{ end -}}
+{{- end }}
+
+{{- /* The names by which browsers reach the console: its Service's, those of the values, and that of its own address. JSON. */ -}}
+{{- define "robotkube.consoleHosts" -}}
+{{- $console := include "robotkube.console" . | fromYaml -}}
+{{- $short := printf "console.%s" .Release.Namespace -}}
+{{- $hosts := list (include "robotkube.host" (dict "root" . "name" "console")) (printf "%s.svc" $short) $short "console" "localhost" -}}
+{{- with $console.signIn.url }}{{ $hosts = append $hosts (regexReplaceAll "^https?://([^/:]*).*$" . "${1}") }}{{ end -}}
+{{ concat $hosts $console.hosts | uniq | toJson }}
+{{- end }}
+
+{{- define "robotkube.consoleSettings" -}}
+{{- $console := include "robotkube.console" . | fromYaml -}}
+listen: {address: 0.0.0.0, port: 8080, health_port: 8081}
+log_level: {{ .Values.logLevel }}
+namespaces: {platform: {{ .Release.Namespace }}, argocd: {{ .Values.argocd.namespace }}}
+agents:
+{{- include "robotkube.agents" . }}
+managers:
+{{- range fromYamlArray (include "robotkube.managers" .) }}
+- {name: {{ .name }}, url: "http://{{ include "robotkube.host" (dict "root" $ "name" .name) }}:8080"}
+{{- end }}
+hosts: {{ include "robotkube.consoleHosts" . }}
+{{- with $console.proxies }}
+proxies: {{ toJson . }}
+{{- end }}
+links: {{ include "robotkube.consoleLinks" $console }}
+page: /opt/robotkube/console
+{{- if include "robotkube.consolePoses" . }}
+poses: {topic: {{ toJson $console.poseTopic }}}
+broker:
+  {{- include "robotkube.brokerSettings" . | nindent 2 }}
+{{- end }}
+{{- if $console.signIn.issuer }}
+sign_in:
+  issuer: {{ $console.signIn.issuer }}
+  client_id: {{ toJson $console.signIn.clientId }}
+  {{- if $console.signIn.secret }}
+  client_secret: /var/run/secrets/robotkube/sign-in/secret
+  {{- end }}
+  url: {{ $console.signIn.url }}
+  groups: {{ toJson $console.signIn.groups }}
+  username_claim: {{ $console.signIn.usernameClaim }}
+  groups_claim: {{ $console.signIn.groupsClaim }}
+{{- else }}
+anybody_reads: {{ $console.anybodyReads }}
+{{- end }}
+{{- end }}
+
+{{- /* Addresses of other pages, those that are given. JSON. */ -}}
+{{- define "robotkube.consoleLinks" -}}
+{{- $links := dict }}
+{{- range $key, $url := .links }}{{ if $url }}{{ $_ := set $links $key $url }}{{ end }}{{ end -}}
+{{ toJson $links }}
+{{- end }}
+
+{{- /* What is wrong with the values of console, one line each. */ -}}
+{{- define "robotkube.consoleRefusals" -}}
+{{- $console := include "robotkube.console" . | fromYaml }}
+{{- if $console.enabled }}
+{{- $signIn := $console.signIn }}
+{{- if and (not $signIn.issuer) (not $console.anybodyReads) }}
+{{ print "console.enabled is true, but nobody may read: console.signIn.issuer is empty. Name the provider of accounts, or set console.anybodyReads: true, with which everybody who reaches the console reads." }}
+{{- end }}
+{{- if and $signIn.issuer (not (and $signIn.clientId $signIn.url $signIn.groups)) }}
+{{ print "console.signIn: issuer needs clientId (of the client at the provider), url (the console's own address in a browser) and groups (whose members may read)." }}
+{{- end }}
+{{- if and $signIn.issuer $console.anybodyReads }}
+{{ print "console.anybodyReads is true, but console.signIn.issuer is set. Take one of the two out." }}
+{{- end }}
+{{- end }}
+{{- end }}

@@ -1,0 +1,121 @@
+"""The process of the console: the page that shows the fleet, what runs, and why.
+
+Started by `robotkube-console` or `python3 -m robotkube.delivery.console`. Settings: docs/reference/console.md. Ends
+with 0 on SIGTERM, 2 when the settings are wrong. It keeps nothing: all that it shows is read again after a restart.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from kubernetes import client
+
+from robotkube.delivery.console.adapters.broker_poses import BrokerPoses
+from robotkube.delivery.console.adapters.cluster_watches import ClusterWatches, ConfigMapSettings
+from robotkube.delivery.console.adapters.http_pages import HttpPages
+from robotkube.delivery.console.adapters.web.application import Console, ConsoleSurroundings
+from robotkube.delivery.console.adapters.web.page_files import read_files
+from robotkube.delivery.console.adapters.web.people import People
+from robotkube.delivery.console.adapters.web.server import AsgiServer
+from robotkube.delivery.console.core.poses import PoseSampler
+from robotkube.delivery.console.loops.model import ReadModel
+from robotkube.delivery.console.loops.page_reading import DetectorReader, ManagerReader
+from robotkube.delivery.console.settings import ConsoleConfiguration, read_configuration
+from robotkube.foundation.kubernetes.adapters.client import api_client
+from robotkube.foundation.runtime import settings_file as files
+from robotkube.foundation.runtime.adapters.health_server import HealthServer
+from robotkube.foundation.runtime.adapters.prometheus_series import MetricsPage
+from robotkube.foundation.runtime.process import Process, run
+from robotkube.robots.ros.core.topic_patterns import ros_name
+
+GRACE_SECONDS = 8.0
+
+
+class ConsoleProcess:
+    """The process's parts on their adapters; nothing is asked before `run`."""
+
+    def __init__(self, configuration: ConsoleConfiguration, api: client.ApiClient) -> None:
+        self.model = ReadModel(secrets.token_hex(4), lambda: time.time_ns() // 1_000_000)
+        self._pages = HttpPages()
+        self._managers = [
+            ManagerReader(self.model, self._pages, manager, time.monotonic) for manager in configuration.managers
+        ]
+        namespaces = (configuration.namespace, configuration.argocd_namespace)
+        self.watches = ClusterWatches(api, self.model, namespaces, configuration.agents, self._wake)
+        settings = ConfigMapSettings(api)
+        self._detectors = DetectorReader(self.model, self._pages, settings, self.watches.detectors, time.monotonic)
+        self._poses = _poses(configuration, self.model)
+        sign_in = configuration.sign_in
+        page = read_files(configuration.page)
+        encrypted = sign_in is not None and sign_in.encrypted
+        around = ConsoleSurroundings(configuration.hosts, encrypted, configuration.links, page)
+        self.console = Console(self.model, People(sign_in), around)
+        self.server = AsgiServer(
+            self.console.app, configuration.listen.address, configuration.listen.port, configuration.proxies
+        )
+        sources = [self.model.metrics, self.console.metrics, *([self._poses.metrics] if self._poses else [])]
+        self.health = HealthServer(
+            ready=lambda: "; ".join(self.watches.missing()) or None,
+            metrics=MetricsPage(*sources).text,
+            port=configuration.listen.health_port or 0,
+            address=configuration.listen.address,
+        )
+
+    def _wake(self) -> None:
+        for manager in self._managers:
+            manager.wake()
+        self._detectors.wake()
+
+    def run(self, stopping: threading.Event) -> None:
+        """Read and serve until `stopping` is set."""
+        loops = [self.watches.run, self._detectors.run, *(manager.run for manager in self._managers)]
+        loops += [self._poses.run] if self._poses else []
+        threads = [_started(loop, stopping) for loop in loops]
+        self.health.start()
+        self.server.start()
+        stopping.wait()
+        self._wake()
+        self.console.streams.stop()
+        self.server.stop()
+        self.health.close()
+        for thread in threads:
+            thread.join(1.0)
+        self._pages.close()
+
+
+def _poses(configuration: ConsoleConfiguration, model: ReadModel) -> BrokerPoses | None:
+    poses = configuration.poses
+    if poses is None:
+        return None
+    names = {ros_name(str(agent["name"])): str(agent["name"]) for agent in configuration.agents}
+    return BrokerPoses(lambda: poses.broker, PoseSampler(poses.topic, names), model, model.now_ms)
+
+
+def _started(loop: Callable[[threading.Event], Any], stopping: threading.Event) -> threading.Thread:
+    thread = threading.Thread(target=loop, args=(stopping,), name=loop.__qualname__, daemon=True)
+    thread.start()
+    return thread
+
+
+def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
+    """Show what is there until the process shall end."""
+    configuration = files.start_with_settings(process, read_configuration, environment)
+    in_cluster = "KUBERNETES_SERVICE_HOST" in environment
+    console = ConsoleProcess(configuration, api_client(in_cluster=in_cluster))
+    signed = "by the provider" if configuration.sign_in else "nobody: everybody who reaches it reads"
+    process.log("started", port=console.server.port, health_port=console.health.port, sign_in=signed)
+    console.run(process.stopping)
+
+
+def main() -> None:
+    """Run until SIGTERM; exit codes as in `foundation.runtime.process`."""
+    run("console", body, grace_seconds=GRACE_SECONDS)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,132 @@
+"""Who asks: the session of a request's cookie, signing in at the provider, and signing out."""
+
+from __future__ import annotations
+
+import logging
+import secrets
+import time
+from typing import Any
+
+from starlette.requests import Request
+from starlette.responses import RedirectResponse, Response
+
+from robotkube.delivery.console.adapters.web.openid_connect import OpenIdConnect, authorization_url
+from robotkube.delivery.console.adapters.web.problems import LOGIN, ProblemError
+from robotkube.delivery.console.core.sessions import SESSION_SECONDS, SIGNING_IN_SECONDS, Session, Sessions
+from robotkube.delivery.console.core.signing_in import SignIn, place_to_return
+from robotkube.errors import InputError, RobotKubeError
+
+ONLY_READS = "This console only reads. Ask for tasks by `robotkube task submit`."
+NOT_LISTED = (
+    "Your account is in none of the groups that may read here. Ask whoever runs the platform (console.signIn.groups)."
+)
+CSRF_HEADER = "x-csrf-token"
+
+log = logging.getLogger(__name__)
+
+
+class People:
+    """Sessions of one console. Without `settings` everybody reads."""
+
+    def __init__(self, settings: SignIn | None, provider: OpenIdConnect | None = None) -> None:
+        self._settings = settings
+        self._provider = provider or (OpenIdConnect(settings) if settings else None)
+        self._sessions = Sessions(time.monotonic, lambda: secrets.token_urlsafe(32))
+        prefix = "__Host-" if settings is not None and settings.encrypted else ""
+        self._cookie, self._begun_cookie = f"{prefix}console", f"{prefix}console-signing-in"
+
+    def session(self, request: Request) -> Session | None:
+        """The session of a request; None when there is none."""
+        return self._sessions.get(request.cookies.get(self._cookie, ""))
+
+    def check_reading(self, request: Request) -> None:
+        """Refuse a request of somebody who may not read."""
+        if self._settings is None:
+            return
+        session = self.session(request)
+        if session is None:
+            raise ProblemError(401, "Not signed in", "Sign in with your account of the forge.")
+        if not session.person.is_in(self._settings.groups):
+            raise ProblemError(403, "Not in a listed group", NOT_LISTED)
+
+    def may_read(self, request: Request) -> bool:
+        """Whether a request's sender may read."""
+        try:
+            self.check_reading(request)
+        except ProblemError:
+            return False
+        return True
+
+    def described(self, request: Request) -> dict[str, Any]:
+        """The document of /api/session."""
+        session = self.session(request) if self._settings is not None else None
+        reads = self.may_read(request)
+        return {
+            "user": session.person.name if session else None,
+            "groups": list(session.person.groups) if session else [],
+            "may_read": reads,
+            "may_write": False,
+            "csrf": session.csrf if session else None,
+            "sign_in": LOGIN if self._settings is not None else None,
+            "why_not": ONLY_READS if reads else NOT_LISTED if session else "You are not signed in.",
+        }
+
+    async def login(self, request: Request) -> Response:
+        """Send the browser to the provider."""
+        settings, provider = self._configured()
+        try:
+            addresses = await provider.provider()
+        except RobotKubeError as error:
+            log.warning("sign-in is not possible reason=%s", error)
+            raise ProblemError(503, "The provider of accounts does not answer", str(error), 10.0) from error
+        key, begun = self._sessions.begin(place_to_return(request.query_params.get("back", "/")))
+        url = authorization_url(addresses, settings, begun.state, begun.verifier)
+        answer = RedirectResponse(url, 302, {"Cache-Control": "no-store"})
+        self._set(answer, self._begun_cookie, key, SIGNING_IN_SECONDS)
+        return answer
+
+    async def callback(self, request: Request) -> Response:
+        """Take the provider's answer, and begin a session."""
+        _, provider = self._configured()
+        query = request.query_params
+        begun = self._sessions.finish(request.cookies.get(self._begun_cookie, ""), query.get("state", ""))
+        if begun is None:
+            raise ProblemError(
+                400, "Sign-in was not begun here", "Begin again: it was too long ago, or in another browser."
+            )
+        if "code" not in query:
+            detail = f"The provider says: {query.get('error_description') or query.get('error') or 'nothing'}"[:500]
+            raise ProblemError(403, "Not signed in", detail)
+        try:
+            person = await provider.person(query["code"], begun.verifier)
+        except InputError as error:
+            log.warning("sign-in refused reason=%s", error)
+            raise ProblemError(403, "Not signed in", "The provider does not take the sign-in; begin again.") from error
+        except RobotKubeError as error:
+            log.warning("sign-in is not possible reason=%s", error)
+            raise ProblemError(503, "The provider of accounts does not answer", str(error), 10.0) from error
+        log.info("signed in user=%s groups=%d", person.name, len(person.groups))
+        self._sessions.close(request.cookies.get(self._cookie, ""))
+        answer = RedirectResponse(begun.back, 303, {"Cache-Control": "no-store"})
+        self._set(answer, self._cookie, self._sessions.open(person), SESSION_SECONDS)
+        self._set(answer, self._begun_cookie, "", 0)
+        return answer
+
+    async def logout(self, request: Request) -> Response:
+        """End the session."""
+        session = self.session(request)
+        if session is None or not session.vouches(request.headers.get(CSRF_HEADER, "")):
+            raise ProblemError(403, "Not from this page", "Give the word of /api/session in the header X-CSRF-Token.")
+        self._sessions.close(request.cookies.get(self._cookie, ""))
+        answer = Response(status_code=204)
+        self._set(answer, self._cookie, "", 0)
+        return answer
+
+    def _configured(self) -> tuple[SignIn, OpenIdConnect]:
+        if self._settings is None or self._provider is None:
+            raise ProblemError(404, "No sign-in here", "Everybody who reaches this console reads.")
+        return self._settings, self._provider
+
+    def _set(self, answer: Response, name: str, value: str, seconds: float) -> None:
+        secure = self._settings is not None and self._settings.encrypted
+        answer.set_cookie(name, value, max_age=int(seconds), path="/", secure=secure, httponly=True, samesite="lax")

@@ -1,0 +1,135 @@
+"""Reading the pages of managers and event detectors into the model: when something changed that they know more of, and
+now and then without."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+
+from robotkube.delivery.console.core import table as kinds
+from robotkube.delivery.console.core.documents import rule_documents
+from robotkube.delivery.console.loops.model import ReadModel
+from robotkube.delivery.console.ports import Detector, ManagerPages, Pages, Settings
+from robotkube.errors import InputError, RobotKubeError
+from robotkube.foundation.runtime.loops.following import step_when_woken
+
+RESYNC_SECONDS = 3.0
+LEAST_SECONDS = 0.3  # between two readings, however much changes
+CATALOGUE_SECONDS = 15.0
+SETTINGS_SECONDS = 30.0
+DETECTORS = "detectors"
+MANAGER_ADVICE = "Plans and catalogue are as of then. Look at the pod of component manager."
+DETECTOR_ADVICE = "Values of events and rules are as of then. Look at the pods of the event detectors."
+UNREADABLE = (KeyError, TypeError, ValueError, AttributeError)
+
+
+class ManagerReader:
+    """Reads one manager's plans, and its catalogue more rarely. `monotonic` in seconds."""
+
+    def __init__(self, model: ReadModel, pages: Pages, manager: ManagerPages, monotonic: Callable[[], float]) -> None:
+        self._model = model
+        self._pages = pages
+        self._manager = manager
+        self._monotonic = monotonic
+        self._catalogue_at = float("-inf")
+        self._woken = threading.Event()
+
+    def wake(self) -> None:
+        """Something changed."""
+        self._woken.set()
+
+    def step(self) -> bool:
+        """Read; False when nobody answered."""
+        name, url = self._manager.name, self._manager.url
+        try:
+            self._model.put_plans(self._pages.get(f"{url}/plans"), name)
+            if self._monotonic() - self._catalogue_at >= CATALOGUE_SECONDS:
+                self._model.put_catalogue(name, self._pages.get(f"{url}/catalogue"))
+                self._catalogue_at = self._monotonic()
+            else:
+                self._model.put_catalogue(name)
+            problem = ""
+        except RobotKubeError as error:
+            problem = str(error)
+        except UNREADABLE as error:
+            problem = f"{url}: a page that cannot be read: {error!r}"
+        carries = (kinds.PLANS, kinds.CATALOGUE)
+        self._model.put_source(f"manager/{name}", problem, MANAGER_ADVICE, carries)
+        return not problem
+
+    def run(self, stopping: threading.Event) -> None:
+        """Read until `stopping` is set, and `wake` called."""
+        step_when_woken(_rested(self.step, stopping), self._woken, stopping, RESYNC_SECONDS, RESYNC_SECONDS)
+
+
+class DetectorReader:
+    """Reads what event detectors say of events, and the rules in their settings more rarely. `detectors` are those that
+    run now."""
+
+    def __init__(
+        self,
+        model: ReadModel,
+        pages: Pages,
+        settings: Settings,
+        detectors: Callable[[], Sequence[Detector]],
+        monotonic: Callable[[], float],
+    ) -> None:
+        self._model = model
+        self._pages = pages
+        self._settings = settings
+        self._detectors = detectors
+        self._monotonic = monotonic
+        self._settings_at: dict[str, float] = {}
+        self._woken = threading.Event()
+
+    def wake(self) -> None:
+        """Something changed."""
+        self._woken.set()
+
+    def step(self) -> bool:
+        """Read all of them; False when one did not answer."""
+        detectors = self._detectors()
+        problems = [problem for one in detectors if (problem := self._read(one))]
+        for gone in set(self._settings_at) - {one.release for one in detectors}:
+            del self._settings_at[gone]
+            self._model.replace(kinds.RULES, {}, f"{gone}/")
+        carries = (kinds.EVENTS, kinds.RULES)
+        self._model.put_source(DETECTORS, "; ".join(problems[:3]), DETECTOR_ADVICE, carries)
+        return not problems
+
+    def _read(self, detector: Detector) -> str:
+        """Read one; why that failed, else empty."""
+        try:
+            self._model.put_events(self._pages.get(f"http://{detector.host}:8081/events"), detector.pod)
+            if self._monotonic() - self._settings_at.get(detector.release, float("-inf")) >= SETTINGS_SECONDS:
+                document = self._settings.read(detector.release.partition("/")[0], detector.config_map)
+                self._model.replace(
+                    kinds.RULES, rule_documents(_rules_of(document), detector.release), f"{detector.release}/"
+                )
+                self._settings_at[detector.release] = self._monotonic()
+        except RobotKubeError as error:
+            return f"{detector.pod}: {error}"
+        except UNREADABLE as error:
+            return f"{detector.pod}: a page that cannot be read: {error!r}"
+        return ""
+
+    def run(self, stopping: threading.Event) -> None:
+        """Read until `stopping` is set, and `wake` called."""
+        step_when_woken(_rested(self.step, stopping), self._woken, stopping, RESYNC_SECONDS, RESYNC_SECONDS)
+
+
+def _rules_of(document: Mapping[str, object]) -> Mapping[str, object]:
+    if not isinstance(document, Mapping):
+        raise InputError("its settings are no mapping")
+    return document
+
+
+def _rested(step: Callable[[], bool], stopping: threading.Event) -> Callable[[], bool]:
+    """The step with a rest behind it, so that what changes all the time is not read all the time."""
+
+    def rested() -> bool:
+        done = step()
+        stopping.wait(LEAST_SECONDS)
+        return done
+
+    return rested

@@ -1,0 +1,98 @@
+"""What the console reads from, and the model as those see it who write into it and who answer from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from robotkube.delivery.console.core.chains import View
+from robotkube.delivery.console.core.table import Document, TableChange
+
+
+@dataclass(frozen=True)
+class Detector:
+    """A pod of an event detector: `<namespace>/<pod>`, the release `<namespace>/<name>`, the address of its pages, and
+    the ConfigMap with its settings."""
+
+    pod: str
+    release: str
+    host: str
+    config_map: str
+
+
+@dataclass(frozen=True)
+class ManagerPages:
+    """The pages of a manager: its name and the address in front of them."""
+
+    name: str
+    url: str
+
+
+class Pages(Protocol):
+    """JSON pages of processes."""
+
+    def get(self, url: str) -> Mapping[str, Any]:
+        """The page at `url`; UnavailableError when nobody answers, or the answer is none."""
+        ...
+
+
+class Settings(Protocol):
+    """Settings documents of agents' processes."""
+
+    def read(self, namespace: str, name: str) -> Mapping[str, Any]:
+        """The document in a ConfigMap; empty when there is none. UnavailableError or InputError when it cannot be
+        read."""
+        ...
+
+
+class ModelReading(Protocol):
+    """The model as it is read, by any thread."""
+
+    epoch: str
+    now_ms: Callable[[], int]
+
+    @property
+    def version(self) -> int:
+        """The version now."""
+        ...
+
+    def whole(self) -> TableChange:
+        """All items."""
+        ...
+
+    def since(self, version: int) -> TableChange | None:
+        """What changed after a version; None when that cannot be told."""
+        ...
+
+    def documents(self, kind: str) -> Mapping[str, Document]:
+        """The documents of a kind, by key."""
+        ...
+
+    def view(self) -> View:
+        """What chains are made of."""
+        ...
+
+    def listen(self, changed: Callable[[], None]) -> None:
+        """Call `changed` after every change from now on; it must return at once."""
+        ...
+
+
+class ModelWriting(Protocol):
+    """The model as sources write into it, from any thread; None: the item is gone."""
+
+    def put(self, kind: str, key: str, document: Document | None) -> None:
+        """An item is there with this document, or there is none."""
+        ...
+
+    def put_task(self, key: str, task: Document | None) -> None:
+        """A task is there with this document, or there is none."""
+        ...
+
+    def put_release(self, key: str, release: Document | None) -> None:
+        """A release is there with this document, or there is none."""
+        ...
+
+    def put_source(self, name: str, problem: str, advice: str, carries: Sequence[str]) -> None:
+        """A source answers (`problem` is empty), or does not and why."""
+        ...

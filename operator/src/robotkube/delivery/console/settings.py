@@ -1,0 +1,133 @@
+"""Settings of the console (docs/reference/console.md)."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from robotkube.delivery.console.core.poses import MARK
+from robotkube.delivery.console.core.signing_in import SignIn
+from robotkube.delivery.console.ports import ManagerPages
+from robotkube.foundation.documents.core.patterns import HTTP_URL, NAME, WORD
+from robotkube.foundation.documents.core.reader import Reader
+from robotkube.foundation.runtime import settings_file as files
+from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
+from robotkube.robots.mqtt.broker_settings import read_broker
+
+HOST = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.-]{0,252})")
+TOPIC = re.compile(r"[A-Za-z0-9_/{}-]{1,200}", re.ASCII)
+ADDRESSES = re.compile(r"[0-9a-fA-F.:]+(/\d{1,3})?", re.ASCII)
+TEXT = re.compile(r"[^\0\n]{1,500}")
+
+
+@dataclass(frozen=True)
+class PoseSource:
+    """Where poses come from: the broker, and the topic of an agent's."""
+
+    broker: BrokerAccount
+    topic: str
+
+
+@dataclass(frozen=True)
+class ConsoleConfiguration:
+    """Everything the process needs, secrets included. Without `sign_in` everybody who reaches it reads; without `poses`
+    the map has none. `hosts`: names by which browsers reach it; `proxies`: whose word counts for who asks."""
+
+    listen: files.Listen
+    log_level: str
+    namespace: str
+    argocd_namespace: str
+    agents: tuple[Mapping[str, Any], ...]
+    managers: tuple[ManagerPages, ...]
+    hosts: frozenset[str]
+    proxies: tuple[str, ...]
+    links: Mapping[str, str]
+    page: Path | None
+    poses: PoseSource | None
+    sign_in: SignIn | None
+
+
+def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ConsoleConfiguration:
+    """The settings document of the console."""
+    required = ["listen", "log_level", "namespaces", "agents", "managers", "hosts"]
+    root = reader.mapping(
+        document, "", required, ["poses", "broker", "page", "links", "proxies", "sign_in", "anybody_reads"]
+    )
+    namespaces = reader.mapping(root.get("namespaces") or {}, "namespaces", ["platform", "argocd"])
+    links = reader.mapping(root.get("links") or {}, "links", [], ["forge", "argocd"])
+    page = root.get("page")
+    return ConsoleConfiguration(
+        listen=files.listen(reader, root.get("listen")),
+        log_level=files.log_level(reader, root.get("log_level")),
+        namespace=reader.word(namespaces.get("platform"), "namespaces.platform", NAME),
+        argocd_namespace=reader.word(namespaces.get("argocd"), "namespaces.argocd", NAME),
+        agents=tuple(_agents(reader, root.get("agents"))),
+        managers=tuple(_managers(reader, root.get("managers"))),
+        hosts=frozenset(_words(reader, root.get("hosts"), "hosts", HOST)),
+        proxies=_words(reader, root.get("proxies") or [], "proxies", ADDRESSES),
+        links={key: reader.word(links.get(key), f"links.{key}", HTTP_URL, default="") for key in ("forge", "argocd")},
+        page=None if page is None else Path(reader.word(page, "page", files.PATH)),
+        poses=_poses(reader, root),
+        sign_in=_sign_in(reader, root),
+    )
+
+
+def _agents(reader: Reader, value: Any) -> Sequence[Mapping[str, Any]]:
+    agents = []
+    for index, item in enumerate(reader.sequence(value, "agents")):
+        path = f"agents[{index}]"
+        agent = reader.mapping(item, path, ["name", "role", "namespace"], ["records"])
+        names = {key: reader.word(agent.get(key), f"{path}.{key}", NAME) for key in ("name", "role", "namespace")}
+        agents.append({**names, "records": bool(agent.get("records"))})
+    return agents
+
+
+def _managers(reader: Reader, value: Any) -> Sequence[ManagerPages]:
+    managers = []
+    for index, item in enumerate(reader.sequence(value, "managers")):
+        path = f"managers[{index}]"
+        manager = reader.mapping(item, path, ["name", "url"])
+        name = reader.word(manager.get("name"), f"{path}.name", NAME)
+        managers.append(ManagerPages(name, reader.word(manager.get("url"), f"{path}.url", HTTP_URL)))
+    return managers
+
+
+def _poses(reader: Reader, root: Mapping[str, Any]) -> PoseSource | None:
+    if root.get("poses") is None:
+        return None
+    poses = reader.mapping(root["poses"], "poses", ["topic"])
+    topic = reader.word(poses.get("topic"), "poses.topic", TOPIC)
+    if topic.split("/").count(MARK) != 1:
+        reader.problems.append(f"poses.topic: must have {MARK} as one of its levels, such as mqtt/vehicles/{MARK}/pose")
+    return PoseSource(read_broker(reader, root.get("broker")), topic)
+
+
+def _sign_in(reader: Reader, root: Mapping[str, Any]) -> SignIn | None:
+    value = root.get("sign_in")
+    if value is None:
+        if root.get("anybody_reads") is not True:
+            reader.problems.append("sign_in: missing; or say that everybody who reaches it reads: anybody_reads: true")
+        return None
+    required = ["issuer", "client_id", "url", "groups"]
+    given = reader.mapping(value, "sign_in", required, ["client_secret", "username_claim", "groups_claim"])
+    groups = _words(reader, given.get("groups"), "sign_in.groups", TEXT)
+    if not groups:
+        reader.problems.append("sign_in.groups: must name one group or more, such as robotkube or robotkube:Owners")
+    secret = given.get("client_secret")
+    return SignIn(
+        issuer=reader.word(given.get("issuer"), "sign_in.issuer", HTTP_URL),
+        client_id=reader.word(given.get("client_id"), "sign_in.client_id", WORD),
+        client_secret="" if secret is None else files.secret(reader, secret, "sign_in.client_secret"),
+        url=reader.word(given.get("url"), "sign_in.url", HTTP_URL),
+        groups=frozenset(groups),
+        username_claim=reader.word(given.get("username_claim"), "sign_in.username_claim", WORD, "preferred_username"),
+        groups_claim=reader.word(given.get("groups_claim"), "sign_in.groups_claim", WORD, "groups"),
+    )
+
+
+def _words(reader: Reader, value: Any, path: str, pattern: re.Pattern[str]) -> tuple[str, ...]:
+    items = enumerate(reader.sequence(value, path))
+    return tuple(reader.word(item, f"{path}[{index}]", pattern) for index, item in items)

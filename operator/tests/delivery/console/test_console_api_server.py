@@ -1,0 +1,116 @@
+"""The console's process on a real API server and a manager's pages: what changes there is told to who listens."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+import yaml
+
+from robotkube.delivery.console.__main__ import ConsoleProcess
+from robotkube.delivery.console.settings import read_configuration
+from robotkube.foundation.kubernetes.adapters.client import api_client
+from robotkube.foundation.runtime.adapters.webhook_server import WebServer
+from robotkube.foundation.runtime.settings_file import read_settings
+from tests.delivery.console import documents as given
+from tests.delivery.console.test_settings import LEAST
+from tests.stages.kubernetes.api_calls import ARGOCD, TASKS, Api
+from tests.stages.kubernetes.api_server import ApiServerProcess
+from tests.stages.waiting import until
+
+pytestmark = pytest.mark.toolchain
+NODE, TASK = "/api/v1/nodes/cloud-0", "console-meeting"
+
+
+class Manager:
+    """A manager's pages."""
+
+    def __init__(self) -> None:
+        self.plans: dict[str, Any] = {"plans": []}
+        pages = {"/plans": lambda: self.plans, "/catalogue": lambda: given.CATALOGUE}
+        self.server = WebServer("127.0.0.1", 0, list, str, pages=pages)
+        self.server.start()
+
+
+@pytest.fixture
+def manager() -> Iterator[Manager]:
+    made = Manager()
+    yield made
+    made.server.stop()
+
+
+@pytest.fixture
+def console(api_server: ApiServerProcess, manager: Manager, tmp_path: Path) -> Iterator[httpx.Client]:
+    """A running console, asked as a browser would."""
+    managers = [{"name": "manager", "url": f"http://127.0.0.1:{manager.server.port}"}]
+    path = tmp_path / "config.yaml"
+    path.write_text(yaml.safe_dump({**LEAST, "managers": managers}))
+    api = api_client(str(api_server.kubeconfig))
+    process = ConsoleProcess(read_settings(path, read_configuration), api)
+    stopping = threading.Event()
+    running = threading.Thread(target=process.run, args=(stopping,))
+    running.start()
+    try:
+        with httpx.Client(base_url=f"http://127.0.0.1:{process.server.port}", timeout=10) as client:
+            until(lambda: not process.watches.missing(), "all is listed")
+            yield client
+    finally:
+        stopping.set()
+        running.join(15)
+        api.rest_client.pool_manager.clear()
+    assert not running.is_alive()
+
+
+def items(console: httpx.Client, kind: str) -> dict[str, Any]:
+    found: dict[str, Any] = console.get("/api/snapshot").raise_for_status().json()["items"].get(kind, {})
+    return found
+
+
+def test_what_changes_in_the_cluster_is_told_in_a_stream(api: Api, console: httpx.Client, manager: Manager) -> None:
+    until(lambda: set(items(console, "sources")) >= {"api-server-nodes", "manager/manager"}, "sources are known")
+    assert items(console, "sources")["api-server-tasks"]["ok"] is True
+    assert items(console, "sources")["api-server-inspections"]["ok"] is False, "this server has no such kind"
+    assert items(console, "agents")["cloud-0"]["nodes"] == []
+    after = console.get("/api/snapshot").json()["id"]
+    with console.stream("GET", "/api/events", params={"after": after}) as stream:
+        told = changes(stream)
+        api.node("cloud-0", "cloud")
+        api.task(TASK, reason="two meet")
+        manager.plans = given.plans(tasks=[f"cloud-0/{TASK}"], events=["e1"])
+        source = {"repoURL": "oci://forge/verified/event-detector", "helm": {"releaseName": "recorder"}}
+        spec = {"project": "default", "destination": {"namespace": "cloud-0"}, "source": source}
+        body = {"apiVersion": "argoproj.io/v1alpha1", "kind": "Application", "metadata": {"name": "cloud-0-recorder"}}
+        api.post(ARGOCD, {**body, "spec": spec})
+        seen: dict[str, dict[str, Any]] = {}
+        gone: dict[str, list[str]] = {}
+        wanted = {"agents": "cloud-0", "tasks": f"cloud-0/{TASK}", "plans": given.PLAN, "releases": given.RECORDER}
+        while not all(key in seen.get(kind, {}) for kind, key in wanted.items()):
+            for kind, documents in next(told)["set"].items():
+                seen.setdefault(kind, {}).update(documents)
+        assert seen["agents"]["cloud-0"]["ready"] is True
+        assert seen["events"]["e1"]["task"] == f"cloud-0/{TASK}"
+        chain = console.get(f"/api/why/task/cloud-0/{TASK}").json()["steps"]
+        assert {step["step"] for step in chain} >= {"event", "task", "plan", "commit", "Application"}
+        api.delete(f"{TASKS}/{TASK}")
+        api.delete(f"{ARGOCD}/cloud-0-recorder")
+        api.delete(NODE)
+        while not {"tasks", "releases"} <= set(gone):
+            change = next(told)
+            gone |= change["gone"]
+    assert gone["releases"] == [given.RECORDER]
+    assert console.get(f"/api/changes?after={after}").json()["gone"]["tasks"] == [f"cloud-0/{TASK}"]
+
+
+def changes(stream: httpx.Response) -> Iterator[dict[str, Any]]:
+    """The documents of the events `change`."""
+    name = ""
+    for line in stream.iter_lines():
+        if line.startswith("event: "):
+            name = line.removeprefix("event: ")
+        elif line.startswith("data: ") and name == "change":
+            yield json.loads(line.removeprefix("data: "))

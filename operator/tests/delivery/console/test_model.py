@@ -1,0 +1,187 @@
+"""The read model: what sources write is one consistent table, and what is away is said, with what was there before."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+
+from robotkube.delivery.console.adapters.cluster_documents import agent_document, pod_document, release_documents
+from robotkube.delivery.console.adapters.cluster_watches import read_shown_pod
+from robotkube.delivery.console.core import table as kinds
+from robotkube.delivery.console.core.documents import stranger_documents, task_document
+from robotkube.delivery.console.loops import model as model_module
+from robotkube.delivery.console.loops.model import ReadModel
+from robotkube.delivery.console.loops.page_reading import DetectorReader, ManagerReader
+from robotkube.delivery.console.ports import Detector, ManagerPages
+from robotkube.delivery.manager.adapters.kubernetes_cluster import read_node
+from robotkube.errors import UnavailableError
+from tests.delivery.console import documents as given
+
+URL = "http://manager:8080"
+DETECTOR = Detector("cloud-0/recorder-0", given.RECORDER, "10.0.0.7", "recorder")
+EVENTS = "http://10.0.0.7:8081/events"
+
+
+class Pages:
+    """Pages in memory; a page that is not there is one that nobody answers for."""
+
+    def __init__(self, **pages: Any) -> None:
+        self.pages: dict[str, Any] = {f"{URL}/plans": given.plans(), f"{URL}/catalogue": given.CATALOGUE, **pages}
+        self.settings: Mapping[str, Any] = given.RULES
+
+    def get(self, url: str) -> Mapping[str, Any]:
+        if url not in self.pages:
+            raise UnavailableError(f"{url}: nobody answers")
+        page: Mapping[str, Any] = self.pages[url]
+        return page
+
+    def read(self, namespace: str, name: str) -> Mapping[str, Any]:
+        assert (namespace, name) == ("cloud-0", "recorder")
+        return self.settings
+
+
+@pytest.fixture
+def model() -> ReadModel:
+    return ReadModel("e", lambda: 7)
+
+
+def put_release(model: ReadModel, *items: Mapping[str, Any]) -> None:
+    for key, document in release_documents(items).items():
+        model.put_release(key, document)
+
+
+def test_a_release_knows_who_asks_for_it_whichever_comes_first(model: ReadModel) -> None:
+    put_release(model, given.application())
+    model.put_task(given.TASK, task_document(given.task()))
+    put_release(model, given.application(given.BRIDGE))
+    assert [d["demands"] for d in model.documents(kinds.RELEASES).values()] == [[given.TASK], [given.TASK]]
+    model.put_task(given.TASK, None)
+    assert [d["demands"] for d in model.documents(kinds.RELEASES).values()] == [[], []]
+
+
+def test_an_event_is_known_by_its_task_until_its_detector_says_more(model: ReadModel) -> None:
+    model.put_task(given.TASK, task_document(given.task()))
+    [event] = model.documents(kinds.EVENTS).values()
+    assert (event["rule"], event["causes"], event["agents"]) == ("near", [], ["vehicle-00", "vehicle-01"])
+    model.put_events(given.edges("start"), "cloud-0/detector")
+    [event] = model.documents(kinds.EVENTS).values()
+    assert (event["distance_m"], event["ended_ms"]) == (399.8, None)
+    model.put_task(given.TASK, task_document(given.task(state="False")))
+    assert model.documents(kinds.EVENTS)[given.EVENT]["distance_m"] == 399.8
+    model.put_events(given.edges("stop"), "cloud-0/detector")
+    [event] = model.documents(kinds.EVENTS).values()
+    assert (event["began_ms"], event["ended_ms"]) == (given.BEGAN // 1_000_000, given.BEGAN // 1_000_000 + 50_000)
+
+
+def test_of_too_many_events_those_that_ended_go_first(model: ReadModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(model_module, "EVENTS_MAX", 2)
+    [edge] = given.edges("start")["events"]
+    [end] = given.edges("stop")["events"]
+    later = [{**edge, "id": name, "time": edge["time"] + number} for number, name in enumerate(("b", "c"))]
+    model.put_events({"events": [edge, end, *later]}, "cloud-0/detector")
+    assert set(model.documents(kinds.EVENTS)) == {"b", "c"}
+
+
+def test_a_manager_that_is_away_leaves_what_it_said(model: ReadModel) -> None:
+    pages, now = Pages(), 0.0
+    reader = ManagerReader(model, pages, ManagerPages("manager", URL), lambda: now)
+    assert reader.step()
+    assert list(model.documents(kinds.PLANS)) == [given.PLAN]
+    assert set(model.documents(kinds.CATALOGUE)) == {"application/recording", "chart/event-detector/0.2.2"}
+    pages.pages.clear()
+    assert not reader.step()
+    source = model.documents(kinds.SOURCES)["manager/manager"]
+    assert (source["ok"], source["problem"]) == (False, f"{URL}/plans: nobody answers")
+    assert source["advice"]
+    assert list(model.documents(kinds.PLANS)) == [given.PLAN]
+
+
+def test_plans_of_one_manager_do_not_take_those_of_another_away(model: ReadModel) -> None:
+    model.put_plans(given.plans(plan="a"), "north")
+    model.put_plans(given.plans(plan="b"), "south")
+    model.put_plans({"plans": []}, "north")
+    assert set(model.documents(kinds.PLANS)) == {"b"}
+
+
+def test_a_chart_says_where_it_runs(model: ReadModel) -> None:
+    pages = Pages()
+    reader = ManagerReader(model, pages, ManagerPages("manager", URL), lambda: 0.0)
+    reader.step()
+    put_release(model, given.application())
+    reader.step()
+    assert model.documents(kinds.CATALOGUE)["chart/event-detector/0.2.2"]["releases"] == [given.RECORDER]
+
+
+@pytest.mark.parametrize("page", [{}, {"plans": [{}]}, {"plans": 3}, {"plans": ["x"]}])
+def test_a_page_of_another_form_is_a_source_that_is_away(model: ReadModel, page: object) -> None:
+    reader = ManagerReader(model, Pages(**{f"{URL}/plans": page}), ManagerPages("manager", URL), lambda: 0.0)
+    assert not reader.step()
+    assert "cannot be read" in model.documents(kinds.SOURCES)["manager/manager"]["problem"]
+
+
+def test_events_and_rules_come_from_detectors_and_rules_go_with_them(model: ReadModel) -> None:
+    pages, there = Pages(**{EVENTS: given.edges("start")}), [DETECTOR]
+    reader = DetectorReader(model, pages, pages, lambda: there, lambda: 0.0)
+    assert reader.step()
+    assert list(model.documents(kinds.EVENTS)) == [given.EVENT]
+    rules = model.documents(kinds.RULES)
+    assert rules[f"{given.RECORDER}/near"]["start_distance_m"] == 400
+    assert rules[f"{given.RECORDER}/yard"]["areas"] == [[[[0, 0], [1, 0], [1, 1], [0, 0]]]]
+    del pages.pages[EVENTS]
+    assert not reader.step()
+    assert model.documents(kinds.SOURCES)["detectors"]["problem"] == f"cloud-0/recorder-0: {EVENTS}: nobody answers"
+    there.clear()
+    assert reader.step()
+    assert not model.documents(kinds.RULES)
+
+
+def test_a_pod_of_a_detector_that_is_ready_is_asked_for_its_pages() -> None:
+    assert read_shown_pod(given.pod())["detector"] == DETECTOR
+    assert read_shown_pod(given.pod(ready=False))["detector"].host == ""
+    other = given.pod()
+    other["metadata"]["labels"]["app.kubernetes.io/name"] = "mqtt-bridge"
+    assert read_shown_pod(other)["detector"] is None
+
+
+def test_what_a_container_fails_by_is_said() -> None:
+    waiting = {"name": "main", "restartCount": 3, "state": {"waiting": {"reason": "ImagePullBackOff", "message": "no"}}}
+    document = pod_document(given.pod(ready=False, containerStatuses=[waiting]))
+    assert (document["trouble"], document["restarts"]) == ("container main: ImagePullBackOff: no", 3)
+
+
+def test_an_agent_has_its_nodes_its_hold_and_since_when_it_is_silent() -> None:
+    metadata = {
+        "name": "vehicle-00",
+        "labels": {"robotkube.io/agent": "vehicle-00", "robotkube.io/capability.lidar": "true"},
+        "annotations": {"robotkube.io/hold": "driving", "robotkube.io/hold-until": "2026-11-21T10:00:00Z"},
+        "creationTimestamp": "2026-11-21T09:00:00Z",
+    }
+    silent = {"type": "Ready", "status": "Unknown", "lastTransitionTime": given.TIME}
+    node = read_node({"metadata": metadata, "status": {"conditions": [silent]}})
+    declared = {"name": "vehicle-00", "namespace": "vehicle-00", "role": "vehicle", "records": False}
+    agent = agent_document(declared, [node])
+    assert (agent["ready"], agent["capabilities"], agent["hold"]["reason"]) == (False, ["lidar"], "driving")
+    assert agent["silent_since_ms"] is not None
+    assert agent_document(declared, [])["ready"] is False
+
+
+def test_strangers_by_what_they_are() -> None:
+    stranger = {"kind": "Pod", "namespace": "cloud-0", "name": "x", "reason": "ForeignImage", "since": given.TIME}
+    inspection = {
+        "metadata": {"namespace": "robotkube", "name": "kubelet.cloud-0"},
+        "status": {"strangers": [stranger]},
+    }
+    [(key, document)] = stranger_documents(inspection).items()
+    assert key == "kubelet.cloud-0/Pod/cloud-0/x//ForeignImage"
+    assert document["since_ms"] is not None
+
+
+def test_listeners_hear_of_changes_alone(model: ReadModel) -> None:
+    heard: list[int] = []
+    model.listen(lambda: heard.append(model.version))
+    model.put_source("broker", "", "", ())
+    model.put_source("broker", "", "", ())
+    assert heard == [1]
+    assert {series.name for series in model.metrics()} >= {"robotkube_console_source_away"}

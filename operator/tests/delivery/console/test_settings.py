@@ -1,0 +1,65 @@
+"""Settings of the console: what is wrong is named with its key and what to do."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from robotkube.delivery.console.settings import ConsoleConfiguration, read_configuration
+from robotkube.errors import DocumentError
+from robotkube.foundation.runtime.settings_file import read_settings
+
+SIGN_IN = {"issuer": "https://forge.example", "client_id": "c", "url": "https://console.example", "groups": ["a"]}
+LEAST: dict[str, Any] = {
+    "listen": {"address": "127.0.0.1", "port": 0, "health_port": 0},
+    "log_level": "info",
+    "namespaces": {"platform": "robotkube", "argocd": "argocd"},
+    "agents": [{"name": "cloud-0", "role": "cloud", "namespace": "cloud-0", "records": True}],
+    "managers": [{"name": "manager", "url": "http://manager:8080"}],
+    "hosts": ["localhost"],
+    "anybody_reads": True,
+}
+
+
+def read(folder: Path, **changed: Any) -> ConsoleConfiguration:
+    path = folder / "config.yaml"
+    path.write_text(yaml.safe_dump({key: value for key, value in {**LEAST, **changed}.items() if value is not None}))
+    return read_settings(path, read_configuration)
+
+
+def test_the_least(tmp_path: Path) -> None:
+    settings = read(tmp_path)
+    assert (settings.sign_in, settings.poses, settings.page) == (None, None, None)
+    assert settings.agents[0]["records"] is True
+
+
+def test_signing_in(tmp_path: Path) -> None:
+    (tmp_path / "secret").write_text("s3cret\n")
+    given = {**SIGN_IN, "client_secret": str(tmp_path / "secret")}
+    sign_in = read(tmp_path, sign_in=given, anybody_reads=None).sign_in
+    assert sign_in is not None
+    assert (sign_in.issuer, sign_in.client_secret, sign_in.encrypted) == ("https://forge.example", "s3cret", True)
+    assert sign_in.redirect == "https://console.example/auth/callback"
+
+
+@pytest.mark.parametrize(
+    ("changed", "problem"),
+    [
+        ({"anybody_reads": None}, "sign_in: missing; or say that everybody who reaches it reads: anybody_reads: true"),
+        ({"anybody_reads": False}, "sign_in: missing"),
+        ({"sign_in": {**SIGN_IN, "groups": []}}, r"sign_in\.groups: must name one group or more"),
+        ({"sign_in": {**SIGN_IN, "issuer": "forge"}}, r"sign_in\.issuer: 'forge' must match"),
+        ({"poses": {"topic": "mqtt/pose"}}, r"poses\.topic: must have \{agent\} as one of its levels"),
+        ({"managers": [{"name": "m"}]}, r"managers\[0\]\.url: missing"),
+        ({"agents": [{"name": "A b"}]}, r"agents\[0\]\.name: 'A b' must match"),
+        ({"hosts": ["a/b"]}, r"hosts\[0\]: 'a/b' must match"),
+        ({"proxies": ["ingress"]}, r"proxies\[0\]: 'ingress' must match"),
+        ({"colour": "red"}, "colour: unknown key; remove it"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path: Path, changed: dict[str, Any], problem: str) -> None:
+    with pytest.raises(DocumentError, match=problem):
+        read(tmp_path, **changed)
