@@ -58,6 +58,7 @@ def build() -> Path:
     if result.is_dir():
         os.utime(result.parent)
         return result
+    print("building the console's page (once per change of it)", file=sys.stderr, flush=True)
     with _workshop() as workshop:
         _npm_run(workshop, "types", "build")
         result.parent.mkdir(parents=True, exist_ok=True)

@@ -21,7 +21,7 @@ const NAMED_EVENTS_MAX = 15;
 export const TRAILS_EACH_FRAME_MAX = 100;
 const FAINT = 0.25;
 const RING_PIXELS = 16;
-const MANY = 300;
+export const MANY = 300;
 const SAMPLES_PASSED_OVER = 4;
 
 /** The theme of an element, from the style sheet's custom properties. */
@@ -226,7 +226,7 @@ export class Drawing {
         context.beginPath();
         for (const agent of agents) if (agent.found === found && chosen(agent)) this.marker(agent);
         context.fill();
-        context.stroke();
+        if (agents.length <= MANY) context.stroke();
       }
     }
     context.globalAlpha = 1;
