@@ -2,6 +2,7 @@ import type { FunctionComponent } from "preact";
 import { useEffect, useState } from "preact/hooks";
 import { readSession, signOut } from "./live/api";
 import type { Session } from "./live/model";
+import { Guarded } from "./parts/Guarded";
 import { Words } from "./parts/parts";
 import { Status } from "./parts/Status";
 import { at, live, SessionContext, useConnection, useItems, useNow, usePlace } from "./state";
@@ -57,7 +58,9 @@ export function App() {
         <Person session={session} />
       </header>
       {connection.mode === "away" && <Away />}
-      {refused ? <NotAllowed session={session} /> : live.heardAt ? <View /> : <Starting />}
+      <Guarded key={place} name={title}>
+        {refused ? <NotAllowed session={session} /> : live.heardAt ? <View /> : <Starting />}
+      </Guarded>
     </SessionContext.Provider>
   );
 }

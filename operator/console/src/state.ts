@@ -71,8 +71,13 @@ export function usePlace(): readonly string[] {
   return place;
 }
 
-function placeOf(hash: string): readonly string[] {
-  return hash.replace(/^#\/?/, "").split("/").filter(Boolean).map(decodeURIComponent);
+/** The words of an address; what is no address of the page is the fleet's. */
+export function placeOf(hash: string): readonly string[] {
+  try {
+    return hash.replace(/^#\/?/, "").split("/").filter(Boolean).map(decodeURIComponent);
+  } catch {
+    return [];
+  }
 }
 
 /** The address of a place in the page. */
