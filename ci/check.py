@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from ci import boundaries, cores, links, markdown
+from ci import boundaries, console, cores, links, markdown
 from ci.errors import InputError
 
 TOP = Path(__file__).resolve().parent.parent
@@ -67,7 +67,7 @@ def repository_rules() -> list[str]:
         findings.append("operator/__init__.py: shadows the standard library's `operator`; remove it")
     machine = re.compile(r"(?<![\w.}])/(?:root|home/\w+|tmp/\w+)/[A-Za-z.]")
     registries = re.compile(r"https?://[\w.-]*(?:pypi|pythonhosted|npmjs|proxy\.golang|mirror|deb\.debian)[\w.-]*")
-    for name in tracked("*.py", "*.md", "*.yaml", "*.txt", "*.toml", "Makefile", "*.sh", "*.mod"):
+    for name in tracked("*.py", "*.md", "*.yaml", "*.txt", "*.toml", "Makefile", "*.sh", "*.mod", "*package-lock.json"):
         try:
             text = links.text(name, TOP)
         except InputError as error:
@@ -129,6 +129,7 @@ CHECKS: dict[str, Callable[[], list[str]]] = {
     "layers": lambda: tool("lint-imports", "--config", "pyproject.toml", folder="operator"),
     "repository": repository_rules,
     "links": links.findings,
+    "page": console.findings,
 }
 
 

@@ -19,6 +19,7 @@ LOCKS = {
     "robot": ["--extra", "robot"],
     "development": [*(word for name in OF_DEVELOPMENT for word in ("--extra", name)), *LEFT_OUT],
     "docs": ["--extra", "docs"],
+    "console": ["--extra", "console"],
 }
 UV = "uv==0.13.8"  # the resolver; installed into a folder that is thrown away
 

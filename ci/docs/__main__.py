@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import hashlib
 import shutil
 import subprocess
 import sys
@@ -12,30 +11,20 @@ from pathlib import Path
 
 from ci import links
 from ci.docs import loading, pages
+from ci.environments import environment
 from ci.errors import InputError, SetUpError
-from ci.folders import PROJECT, user_cache
+from ci.folders import PROJECT
 
 LOCK = PROJECT / "operator" / "requirements" / "docs.txt"
 OUTPUT = PROJECT / "build" / "docs"
 FOLDER = Path(__file__).resolve().parent
 BESIDE_THE_PAGES = {"conf.py": "conf.py", "site.css": "_static/site.css"}
-INSTALL_SECONDS_MAX = 600
 BUILD_SECONDS_MAX = 300
 
 
 def generator() -> Path:
-    """The program that makes sites, in an environment of its own below the cache folder, installed once per lock."""
-    version = f"{sys.version_info.major}.{sys.version_info.minor}"
-    key = hashlib.sha256(LOCK.read_bytes() + version.encode()).hexdigest()[:16]
-    home = user_cache() / "docs" / key
-    if not (home / "complete").exists():
-        print(f"installing the site generator into {home} (once)", file=sys.stderr, flush=True)
-        shutil.rmtree(home, ignore_errors=True)
-        _run(sys.executable, "-m", "venv", str(home), seconds=INSTALL_SECONDS_MAX)
-        pip = [str(home / "bin" / "python"), "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
-        _run(*pip, "--require-hashes", "--no-deps", "-r", str(LOCK), seconds=INSTALL_SECONDS_MAX)
-        (home / "complete").touch()
-    return home / "bin" / "sphinx-build"
+    """The program that makes sites, in an environment of its own."""
+    return environment("docs", LOCK) / "bin" / "sphinx-build"
 
 
 def assemble(address: str) -> Path:
@@ -64,13 +53,6 @@ def build(address: str) -> Path:
     if foreign:
         raise InputError("\n".join(["the site would load from elsewhere:", *foreign]))
     return OUTPUT / "site"
-
-
-def _run(*command: str, seconds: int) -> None:
-    try:
-        subprocess.run(command, check=True, timeout=seconds)
-    except (subprocess.SubprocessError, OSError) as error:
-        raise SetUpError(f"the site generator cannot be installed: {error}; run make docs again") from error
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

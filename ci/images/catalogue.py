@@ -18,11 +18,12 @@ MODULE_SECONDS_MAX = 300
 
 @dataclass(frozen=True)
 class Sources:
-    """Where programs and Go modules' files come from; `module` maps (module path, folder of the go.mod naming it)
-    to its folder."""
+    """Where programs, Go modules' files and the console's page come from; `module` maps (module path, folder of the
+    go.mod naming it) to its folder, `page` builds the page when it is not there and gives its folder."""
 
     toolchain_bin: Path
     module: Callable[[str, str], Path]
+    page: Callable[[], Path]
 
 
 @cache
@@ -87,6 +88,7 @@ def _platform(sources: Sources) -> tuple[Copied, ...]:
     return (
         _repository("operator/requirements/platform.txt"),
         _program(sources, "chart-renderer"),
+        Copied(sources.page(), "operator/console/dist"),
         *_package(),
         _repository("gitops", optional=True),
         _repository("registry/schemas", optional=True),

@@ -58,8 +58,12 @@ def test_modes_depend_on_the_program_bit_alone(source: Path, tmp_path: Path) -> 
     assert modes == {"a": 0o755, "b": 0o755, "deep": 0o755, "file": 0o644, "program": 0o755}
 
 
+def sources_in(folder: Path) -> Sources:
+    return Sources(folder, lambda path, module: folder, lambda: folder)
+
+
 def test_a_missing_program_is_named_with_what_makes_it(tmp_path: Path) -> None:
-    sources = Sources(tmp_path, lambda path, folder: tmp_path)
+    sources = sources_in(tmp_path)
     with pytest.raises(ContextError, match=r"image ferretdb: .*/ferretdb is missing .*python -m ci\.toolchain"):
         check("ferretdb", BY_NAME["ferretdb"].contents(sources))
 
@@ -82,7 +86,7 @@ def test_every_image_ends_as_a_numeric_user_with_labels(image: object) -> None:
 
 @pytest.mark.parametrize("image", IMAGES, ids=lambda image: image.name)
 def test_every_context_file_of_the_repository_is_there_and_copied(image: object, tmp_path: Path) -> None:
-    copied = BY_NAME[image.name].contents(Sources(tmp_path, lambda path, folder: tmp_path))  # type: ignore[attr-defined]
+    copied = BY_NAME[image.name].contents(sources_in(tmp_path))  # type: ignore[attr-defined]
     text = BY_NAME[image.name].dockerfile.read_text()  # type: ignore[attr-defined]
     for one in copied:
         assert one.target in text or one.target.rpartition("/")[0] in text
@@ -95,7 +99,7 @@ def test_every_image_has_the_licence_and_the_notice(image: Image, tmp_path: Path
     text = image.dockerfile.read_text()
     stands_on = next(line.split()[1] for line in reversed(text.splitlines()) if line.startswith("FROM "))
     if stands_on == "scratch":
-        targets = {one.target for one in image.contents(Sources(tmp_path, lambda path, folder: tmp_path))}
+        targets = {one.target for one in image.contents(sources_in(tmp_path))}
         assert {"LICENSE", "NOTICE"} <= targets
         assert "\nCOPY LICENSE NOTICE /licenses/\n" in text
     else:

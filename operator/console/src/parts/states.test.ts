@@ -1,0 +1,52 @@
+import { describe, expect, it } from "vitest";
+import type { Plan, Task } from "../live/model";
+import { planSeconds, planWords, taskGroup, taskWords } from "./states";
+
+type Condition = Task["conditions"][number];
+const condition = (type: Condition["type"], status: Condition["status"], message = ""): Condition => ({
+  ...{ type, status, reason: "Why", message, time_ms: null },
+});
+const task = (conditions: Condition[], withdrawn = false): Task => ({ conditions, withdrawn }) as unknown as Task;
+const plan = (more: Partial<Plan>): Plan =>
+  ({
+    created: [],
+    changed: [],
+    removed: [],
+    demand_seen_ms: null,
+    started_ms: null,
+    observed_ms: null,
+    ...more,
+  }) as Plan;
+
+describe("a task", () => {
+  it.each([
+    ["waiting", task([])],
+    ["waiting", task([condition("Accepted", "True"), condition("Ready", "Unknown")])],
+    ["refused", task([condition("Accepted", "False")])],
+    ["active", task([condition("Accepted", "True"), condition("Ready", "True")])],
+    ["withdrawn", task([condition("Ready", "True")], true)],
+  ])("is %s", (group, each) => expect(taskGroup(each)).toBe(group));
+
+  it("says why it waits in the words of what does not hold", () => {
+    expect(
+      taskWords(task([condition("Accepted", "True", "yes"), condition("Synced", "Unknown", "Argo CD is away")])),
+    ).toBe("Argo CD is away");
+    expect(taskWords(task([condition("Accepted", "False")]))).toBe("Why");
+    expect(taskWords(task([condition("Accepted", "True", "a"), condition("Ready", "True", "all run")]))).toBe(
+      "all run",
+    );
+    expect(taskWords(task([]))).toContain("No manager");
+  });
+});
+
+describe("a plan", () => {
+  it("says what it does", () => {
+    expect(planWords(plan({ created: ["a", "b"], removed: ["c"] }))).toBe("2 releases created, 1 removed");
+    expect(planWords(plan({ changed: ["a"] }))).toBe("1 release changed");
+    expect(planWords(plan({}))).toBe("no release touched");
+  });
+  it("takes from the demand to what runs", () => {
+    expect(planSeconds(plan({ demand_seen_ms: 1000, observed_ms: 3500 }))).toBe(2.5);
+    expect(planSeconds(plan({ started_ms: 1000 }))).toBeUndefined();
+  });
+});

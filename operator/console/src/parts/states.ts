@@ -1,0 +1,61 @@
+/** What states mean: how they are coloured, and in words why something waits. */
+import type { Plan, Release, Task } from "../live/model";
+import type { Tone } from "./parts";
+
+export function releaseTone(release: Release): Tone {
+  if (release.health === "Healthy") return release.sync === "Synced" ? "good" : "busy";
+  return release.health === "Degraded" || release.health === "Missing" ? "bad" : "busy";
+}
+
+export type TaskGroup = "active" | "waiting" | "refused" | "withdrawn";
+
+/** What became of a task: its applications run, it waits, it was refused, or it was taken back. */
+export function taskGroup(task: Task): TaskGroup {
+  if (task.withdrawn) return "withdrawn";
+  const [accepted, ready] = ["Accepted", "Ready"].map((type) => task.conditions.find((each) => each.type === type));
+  if (accepted?.status === "False") return "refused";
+  return ready?.status === "True" ? "active" : "waiting";
+}
+
+export const TASK_TONES: Record<TaskGroup, Tone> = {
+  active: "good",
+  waiting: "busy",
+  refused: "bad",
+  withdrawn: "quiet",
+};
+
+/** Why a task is where it is: the words of the first condition that does not hold, of the last one when all do. */
+export function taskWords(task: Task): string {
+  const open = task.conditions.find((condition) => condition.status !== "True") ?? task.conditions.at(-1);
+  return open?.message || open?.reason || "No manager has looked at it yet.";
+}
+
+export const PLAN_TONES: Record<Plan["state"], Tone> = {
+  open: "busy",
+  merged: "busy",
+  observed: "good",
+  refused: "bad",
+};
+
+export const PLAN_WORDS: Record<Plan["state"], string> = {
+  open: "waits for the gate",
+  merged: "merged, being deployed",
+  observed: "deployed",
+  refused: "refused",
+};
+
+/** What a plan does: "2 releases created, 1 removed". */
+export function planWords(plan: Plan): string {
+  const parts = (["created", "changed", "removed"] as const)
+    .filter((word) => plan[word].length)
+    .map(
+      (word, index) => `${plan[word].length}${index ? "" : plan[word].length === 1 ? " release" : " releases"} ${word}`,
+    );
+  return parts.join(", ") || "no release touched";
+}
+
+/** The seconds from the demand to pods that run, undefined while it is under way. */
+export function planSeconds(plan: Plan): number | undefined {
+  const began = plan.demand_seen_ms ?? plan.started_ms;
+  return began === null || plan.observed_ms === null ? undefined : (plan.observed_ms - began) / 1000;
+}

@@ -1,0 +1,98 @@
+import { useState } from "preact/hooks";
+import type { Agent } from "../live/model";
+import { silentSince } from "../map/fleet";
+import { Badge, Cell, Empty, Rows, Search, Stale, Time } from "../parts/parts";
+import { filter } from "../search";
+import { at, live, useItems, useNow } from "../state";
+import { clock, count } from "../words";
+import { Hold } from "./Fleet";
+
+/** Every declared agent: its Nodes, what it wants, when it was heard last. */
+export function Agents() {
+  const agents = [...useItems("agents").values()].sort((one, other) => one.name.localeCompare(other.name));
+  const running = new Map<string, number>();
+  for (const release of useItems("releases").values())
+    running.set(release.agent, (running.get(release.agent) ?? 0) + 1);
+  const [text, search] = useState("");
+  const now = useNow();
+  const found = filter(text);
+  const shown = agents.filter((agent) => found(searched(agent)));
+  return (
+    <main id="main">
+      <h1>Agents</h1>
+      <p class="quiet">{count(agents.length, "agent")} declared by the deployment repository or by labels of Nodes.</p>
+      <Stale kinds={["agents", "poses"]} now={now} />
+      <div class="filters">
+        <Search label="Search agents" hint="Words, or role:…, node:…, capability:…" value={text} change={search} />
+      </div>
+      {shown.length ? (
+        <Rows
+          label="Agents"
+          heads={["Agent", "State", "Role", "Nodes", "Hold", "Releases", "Position heard"]}
+          items={shown}
+          row={(agent) => (
+            <Line key={agent.name} agent={agent} releases={running.get(agent.namespace) ?? 0} now={now} />
+          )}
+        />
+      ) : (
+        <Empty title={agents.length ? "No agent matches." : "No agents are declared."}>
+          {!agents.length && <p>Agents are declared by policies/agents.yaml of the deployment repository.</p>}
+        </Empty>
+      )}
+    </main>
+  );
+}
+
+function searched(agent: Agent) {
+  return {
+    name: agent.name,
+    namespace: agent.namespace,
+    role: agent.role,
+    capability: agent.capabilities,
+    node: agent.nodes.map((node) => node.name),
+    hold: agent.hold?.reason,
+  };
+}
+
+function Line({ agent, releases, now }: { agent: Agent; releases: number; now: number }) {
+  const pose = live.table.maps.poses.get(agent.name);
+  return (
+    <tr>
+      <Cell head="Agent">
+        <a href={at("fleet", agent.name)}>{agent.name}</a>
+        {agent.namespace !== agent.name && <div class="quiet">namespace {agent.namespace}</div>}
+      </Cell>
+      <Cell head="State">
+        <State agent={agent} now={now} />
+      </Cell>
+      <Cell head="Role">
+        {agent.role}
+        <div class="quiet">{[...agent.capabilities, ...(agent.records ? ["records"] : [])].join(", ")}</div>
+      </Cell>
+      <Cell head="Nodes">
+        {agent.nodes.map((node) => (
+          <div key={node.name}>
+            {node.name} <span class="quiet">{node.cordoned ? "cordoned" : ""}</span>
+            {!node.ready && (
+              <span class="bad"> not ready{node.since_ms !== null && ` since ${clock(node.since_ms, now)}`}</span>
+            )}
+          </div>
+        ))}
+      </Cell>
+      <Cell head="Hold">
+        <Hold agent={agent} now={now} />
+      </Cell>
+      <Cell head="Releases">{releases}</Cell>
+      <Cell head="Position heard">
+        {pose ? <Time ms={pose.received_ms} now={now} /> : <span class="quiet">never</span>}
+      </Cell>
+    </tr>
+  );
+}
+
+function State({ agent, now }: { agent: Agent; now: number }) {
+  const silent = silentSince(agent, live.table.maps.poses.get(agent.name), now);
+  if (!agent.nodes.length) return <Badge tone="quiet">no Node joined</Badge>;
+  if (silent !== undefined) return <Badge tone="warn">silent since {clock(silent, now)}</Badge>;
+  return agent.ready ? <Badge tone="good">ready</Badge> : <Badge tone="bad">not ready</Badge>;
+}
