@@ -40,7 +40,7 @@ class PlatformInMemory:
 
 @pytest.fixture
 def platform(monkeypatch: pytest.MonkeyPatch) -> PlatformInMemory:
-    platform = PlatformInMemory({"robotkube-console": ("10.96.0.7", 8080), "forge": ("10.96.0.9", 3000)})
+    platform = PlatformInMemory({"console": ("10.96.0.7", 8080), "forge": ("10.96.0.9", 3000)})
     monkeypatch.setattr(opening, "Platform", lambda options: platform)
     return platform
 
@@ -57,16 +57,15 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     [
         ([], "/"),
         (["fleet"], "/"),
-        (["why", "cloud-0/one"], "/why/task/cloud-0/one"),
-        (["why", "e1"], "/why/event/e1"),
-        (["why", "0" * 32], f"/why/event/{'0' * 32}"),
-        (["why", "20261118-1"], "/why/plan/20261118-1"),
-        (["why", "cloud-0/recorder-1"], "/why/pod/cloud-0/recorder-1"),
-        (["why", "cloud-0/recorder"], "/why/release/cloud-0/recorder"),
-        (["why", "07a93656"], "/why/commit/07a93656"),
-        (["plan", "4"], "/why/plan/20261118-1"),
-        (["plan", "#4"], "/why/plan/20261118-1"),
-        (["recording", "recorder 7"], "/why/recording/recorder%207"),
+        (["why", "cloud-0/one"], "/#/why/task/cloud-0/one"),
+        (["why", "e1"], "/#/why/event/e1"),
+        (["why", "0" * 32], f"/#/why/event/{'0' * 32}"),
+        (["why", "20261118-1"], "/#/why/plan/20261118-1"),
+        (["why", "cloud-0/recorder-1"], "/#/why/pod/cloud-0/recorder-1"),
+        (["why", "cloud-0/recorder"], "/#/why/release/cloud-0/recorder"),
+        (["why", "07a93656"], "/#/why/commit/07a93656"),
+        (["plan", "4"], "/#/why/plan/20261118-1"),
+        (["plan", "#4"], "/#/why/plan/20261118-1"),
     ],
 )
 def test_the_consoles_address_is_printed_and_opened(
@@ -101,7 +100,7 @@ def test_a_console_behind_an_ingress_or_with_tls(
     platform: PlatformInMemory, opened: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["open", "--console-url", "https://fleet.example.com/"]) == cli.EXIT_DONE
-    platform.services["robotkube-console"] = ("10.96.0.7", 8443)
+    platform.services["console"] = ("10.96.0.7", 8443)
     assert cli.main(["open"]) == cli.EXIT_DONE
     assert capsys.readouterr().out == "https://fleet.example.com/\nhttps://10.96.0.7:8443/\n"
 
@@ -122,11 +121,11 @@ def test_without_a_console_it_says_what_shows_the_same(
     words: list[str],
     instead: str,
 ) -> None:
-    del platform.services["robotkube-console"]
+    del platform.services["console"]
     assert cli.main(["open", *words]) == cli.EXIT_REFUSED
     out, err = capsys.readouterr()
     assert out == ""
-    assert "there is no console: namespace robotkube has no Service robotkube-console" in err
+    assert "there is no console: namespace robotkube has no Service console" in err
     assert instead in err
     assert opened == []
 
@@ -134,7 +133,7 @@ def test_without_a_console_it_says_what_shows_the_same(
 def test_without_a_console_a_plan_is_seen_at_the_forge(
     platform: PlatformInMemory, opened: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    del platform.services["robotkube-console"]
+    del platform.services["console"]
     assert cli.main(["open", "plan", "4"]) == cli.EXIT_DONE
     out, err = capsys.readouterr()
     assert opened == [out.strip()] == [f"{FORGE}/robotkube/deployment/pulls/4"]
@@ -148,6 +147,7 @@ def test_without_a_console_a_plan_is_seen_at_the_forge(
         (["fleet", "x"], cli.EXIT_USAGE, "the fleet has no ID"),
         (["why", "nothing"], cli.EXIT_REFUSED, "no event, task, plan, pod, release or commit nothing is known"),
         (["plan", "99"], cli.EXIT_REFUSED, "the manager remembers no plan 99"),
+        (["recording", "r1"], cli.EXIT_REFUSED, "the console shows no recordings; `robotkube recording show r1` does"),
     ],
 )
 def test_what_is_not_there_is_refused(

@@ -139,7 +139,7 @@ def test_watching_the_platform(line: Line, api: Api) -> None:
     assert (told[1]["trouble"], len(told)) == (True, 2)
     code, out, err = line.run("open", "--print", "fleet")
     assert (code, out) == (1, "")
-    assert "no Service robotkube-console; `robotkube watch` shows the fleet in the terminal" in err
+    assert "no Service console; `robotkube watch` shows the fleet in the terminal" in err
 
 
 def test_watching(line: Line, api: Api, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,7 +19,7 @@ from robotkube.cli.platform import FORGE, Platform
 from robotkube.errors import InputError, RefusalError
 from robotkube.foundation.kubernetes.core.objects import object_key
 
-CONSOLE = "robotkube-console"
+CONSOLE = "console"
 DEPLOYMENT = "robotkube/deployment"
 FLEET, WHY, PLAN, RECORDING = "fleet", "why", "plan", "recording"
 KINDS = ("event", "task", "plan", "pod", "release", "commit")
@@ -77,18 +77,17 @@ def console_address(platform: Platform) -> str:
 
 
 def _path(platform: Platform, what: str, wanted: str) -> str:
-    """The console's path of what is named."""
+    """The console's path of what is named. RefusalError: it shows none of recordings."""
     if what == FLEET:
         return "/"
     if what == RECORDING:
-        kind, name = RECORDING, wanted
+        raise RefusalError("NoPage", f"the console shows no recordings; `robotkube recording show {wanted}` does")
+    plans = platform.page("/plans")["plans"]
+    if what == PLAN:
+        kind, name = PLAN, str(named_plan(wanted, plans)["plan"])
     else:
-        plans = platform.page("/plans")["plans"]
-        if what == PLAN:
-            kind, name = PLAN, str(named_plan(wanted, plans)["plan"])
-        else:
-            kind, name = kind_of(wanted, platform.tasks(), plans, platform.pods()), wanted
-    return f"/{WHY}/{kind}/{quote(name)}"
+        kind, name = kind_of(wanted, platform.tasks(), plans, platform.pods()), wanted
+    return f"/#/{WHY}/{kind}/{quote(name)}"
 
 
 def named_plan(wanted: str, plans: Sequence[Document]) -> Document:

@@ -16,8 +16,8 @@ from typing import Any, Protocol
 from robotkube.cli.live import fleet, moments
 from robotkube.cli.live.fleet import NodeLook, PodLook
 from robotkube.cli.live.moments import Moment
-from robotkube.cli.tasks.listing import state
 from robotkube.delivery.manager.adapters.pod_states import read_time_ns
+from robotkube.delivery.tasks.core.task_states import task_state
 from robotkube.errors import InputError, RobotKubeError, UnavailableError
 
 CHANGES_MAX = 10_000
@@ -211,7 +211,7 @@ def _standing(key: str, task: Mapping[str, Any] | None, seen: int) -> Iterator[M
     """A task that was there before the first look."""
     if task is not None:
         created = read_time_ns(task["metadata"].get("creationTimestamp"))
-        yield Moment(created or seen, f"task {key} stands: {state(task)}")
+        yield Moment(created or seen, f"task {key} stands: {task_state(task)}")
 
 
 def received(pages: Iterable[str]) -> dict[str, float]:
