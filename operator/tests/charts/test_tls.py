@@ -192,6 +192,18 @@ def test_the_database_speaks_clear_text_as_well_where_a_value_asks_for_it(
     assert reached(rendered, "database", "cloud-0") == {27017, 27018}
 
 
+def test_policies_follow_the_database_also_where_the_broker_is_somebody_elses(helm: Any) -> None:
+    external = {"kind": "external", "external": {"host": "mqtt.example", "port": 1883}}
+    off = helm.template(PLATFORM, OFFICIAL, broker=external, tls={"mode": "off"})
+    assert reached(off, "database", "cloud-0") == {27017}
+    [rule] = [
+        rule
+        for rule in off.one("NetworkPolicy", "suite-runner", "robotkube")["spec"]["egress"]
+        if "robotkube.io/suite" in str(rule.get("to"))
+    ]
+    assert [port["port"] for port in rule["ports"]] == [27017]
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_off_is_a_database_in_clear_text_as_before(helm: Any, kind: str) -> None:
     off = helm.template(PLATFORM, *KINDS[kind], tls={"mode": "off"})
