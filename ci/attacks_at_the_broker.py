@@ -87,6 +87,19 @@ AT_THE_BROKER = (
         ),
     ),
     Attack(
+        "not-enrolled",
+        "Who has the account of a reserved agent that main does not enroll, or no more, connects with it",
+        BY_CLIENT,
+        NOT_PROPOSED,
+        NOTHING_TO_JUDGE,
+        SAID_OR_HEARD,
+        Refused(
+            "reason 0x87 of MQTT 5",
+            "delivery/rights/test_enrollment.py::test_enrolled_it_takes_part",
+            "the broker, where it is shut from its first start on",
+        ),
+    ),
+    Attack(
         "rights-changed",
         "Who got the password of the account `rights` gives himself rights, a role or an account at the broker",
         NO_DEMAND,

@@ -37,7 +37,7 @@ STANDARD = frozenset(
             "string",
             "struct",
         ),
-        *("textwrap", "types", "typing", "unicodedata", "zlib"),
+        *("difflib", "textwrap", "types", "typing", "unicodedata", "zlib"),
     ]
 )
 PARTS = {  # standard modules that read files, the clock or the process too: what of them is pure

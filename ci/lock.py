@@ -13,7 +13,7 @@ TOP = Path(__file__).resolve().parent.parent
 # cyclonedx-bom asks for jsonschema's format checks, of which one builds a grammar whenever jsonschema is imported:
 # 1.4 s in every process of ours. Nothing here checks that format, and jsonschema works without it.
 LEFT_OUT = ["--no-emit-package", "rfc3987-syntax", "--no-emit-package", "lark"]
-OF_DEVELOPMENT = ("platform", "robot", "scenario", "images", "development")
+OF_DEVELOPMENT = ("platform", "terminal", "robot", "scenario", "images", "development")
 LOCKS = {
     "platform": ["--extra", "platform"],
     "robot": ["--extra", "robot"],

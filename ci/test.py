@@ -1,6 +1,9 @@
 """`make test`: four groups, each with its time; `--fast` runs the one of them that needs no other program, and
 `--thorough` three groups of slower proofs instead. Exit code 1 when anything failed.
 
+Tests on the cluster wait a third of their time, so groups that only compute run beside them at the lowest priority;
+what these print follows once they have ended.
+
 What a group needs (Debian packages, tool chain, images) is made before its time begins, once, and cached. Tests find
 the programs of the tool chain in the folder ROBOTKUBE_TOOLCHAIN_BIN. A group that runs no test has failed.
 """
@@ -10,25 +13,23 @@ from __future__ import annotations
 import argparse
 import os
 import re
-import signal
-import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain, combinations
 from pathlib import Path
 
 from _pytest.mark.expression import Expression
 
-from ci import preflight, preparing, principles, results
+from ci import child_runs, preflight, preparing, principles, results
 from ci.errors import SetUpError
 
 TOP = Path(__file__).resolve().parent.parent
 TESTS = "operator/tests"
-TEARDOWN_SECONDS_MAX = 120
 EXAMPLES = "ROBOTKUBE_EXAMPLES"
 MEMORY, MEMORY_BYTES_MIN = Path("/dev/shm"), 4 * 2**30  # noqa: S108 - the folder in it is made by tempfile
 FEW_EXAMPLES, ALL_EXAMPLES = 20, 200
@@ -44,7 +45,8 @@ class Group:
 
     `goal_seconds` is what it may take on a quiet machine of two cores; `seconds_max`, and it is ended. `needs` is what
     `preparing.prepare` makes before. Each of the `processes` runs whole files, with servers of its own. `examples` is
-    how many a random test tries, unless the environment says it.
+    how many a random test tries, unless the environment says it. `beside` names the group beside which it runs, at the
+    lowest priority, when both are run.
     """
 
     name: str
@@ -53,19 +55,21 @@ class Group:
     needs: str
     processes: int = 1
     examples: int = ALL_EXAMPLES
+    beside: str = ""
 
     @property
     def seconds_max(self) -> int:
         return 2 * self.goal_seconds + 300
 
 
+ON_PLATFORM = Group("platform", "platform and not thorough", 620, "images")
+FAST = Group("fast", FASTEST, 90, "tests", 2, FEW_EXAMPLES, beside=ON_PLATFORM.name)
 GROUPS = (
-    Group("check", "", 60, "nothing"),
-    Group("fast", FASTEST, 90, "tests", 2, FEW_EXAMPLES),
+    Group("check", "", 60, "nothing", beside=ON_PLATFORM.name),
+    FAST,
     Group("processes", "(processes or toolchain) and not platform and not thorough", 320, "toolchain", 3),
-    Group("platform", "platform and not thorough", 620, "images"),
+    ON_PLATFORM,
 )
-FAST = GROUPS[1]
 THOROUGH = (
     Group("random", f"random and {FASTEST}", 600, "tests", 2),
     Group("proofs", "thorough and not platform", 3000, "images", 2),
@@ -85,20 +89,20 @@ class Result:
     failures: Mapping[str, str] = field(default_factory=dict)
 
 
-def run_checks(group: Group) -> results.Counts:
-    done = subprocess.run([sys.executable, "-m", "ci.check"], cwd=TOP, timeout=group.seconds_max, check=False)
-    return results.Counts(1, 0, 0) if done.returncode == 0 else results.Counts(0, 1, 0)
+def run_checks(group: Group, output: Path | None = None) -> results.Counts:
+    code = child_runs.run([sys.executable, "-m", "ci.check"], TOP, group.name, group.seconds_max, output=output)
+    return results.Counts(0, 1, 0) if code else results.Counts(1, 0, 0)
 
 
-def run_pytest(group: Group, places: Sequence[str] = (TESTS,)) -> results.Counts:
+def run_pytest(group: Group, places: Sequence[str] = (TESTS,), output: Path | None = None) -> results.Counts:
     """Run a group's tests below some places. A run that ends badly without a failed test counts as one failure."""
     with temporary_folder(group) as (folder, environment):
         report = folder / "results"
         command = [sys.executable, "-m", "pytest", "-c", "operator/pyproject.toml", "-m", group.marker]
         command += ["--durations=10", "-p", "ci.results", "-p", "no:cacheprovider", *spread(group.processes)]
         command += [*unread(group, places), *places]
-        process = subprocess.Popen(command, cwd=TOP, env={**environment, results.VARIABLE: str(report)})
-        code = wait(process, group)
+        environment[results.VARIABLE] = str(report)
+        code = child_runs.run(command, TOP, group.name, group.seconds_max, environment, output)
         counts = results.read(report)
     if not counts.passed + counts.failed + counts.skipped:
         print(f"{group.name}: no test was run (pytest ended with {code})", flush=True)
@@ -160,35 +164,35 @@ def in_memory(place: Path = MEMORY) -> str | None:
     return str(place) if suits and os.access(place, os.W_OK) else None
 
 
-def wait(process: subprocess.Popen[bytes], group: Group) -> int:
-    """The exit code. An interrupt reaches pytest, too; it is given time to take down what its fixtures started."""
-    try:
-        return process.wait(group.seconds_max)
-    except KeyboardInterrupt:
-        end(process)
-        raise
-    except subprocess.TimeoutExpired:
-        print(f"{group.name}: not done after {group.seconds_max} s, ended", flush=True)
-        process.send_signal(signal.SIGINT)
-        end(process)
-        return -1
-
-
-def end(process: subprocess.Popen[bytes]) -> None:
-    try:
-        process.wait(TEARDOWN_SECONDS_MAX)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-
-
-def run(group: Group, places: Sequence[str]) -> Result:
-    print(f"\n== {group.name}", flush=True)
-    preparing.prepare(group.needs)
+def run(group: Group, places: Sequence[str], output: Path | None = None) -> Result:
+    """Run a group; with an `output`, a file that its process writes to, at the lowest priority."""
     began = time.monotonic()
-    counts = run_pytest(group, places) if group.marker else run_checks(group)
+    counts = run_pytest(group, places, output) if group.marker else run_checks(group, output)
     seconds = time.monotonic() - began
     return Result(group, counts.passed, counts.failed, counts.skipped, seconds, counts.failures)
+
+
+def run_all(groups: Sequence[Group], places: Sequence[str], finished: list[Result]) -> None:
+    """Run groups one after the other, those that have one to be `beside` beside it; what is `finished` is added."""
+    names = [group.name for group in groups]
+    for group in (one for one in groups if one.beside not in names):
+        companions = [one for one in groups if one.beside == group.name]
+        print(f"\n== {group.name}" + "".join(f", beside it {one.name}" for one in companions), flush=True)
+        for one in (*companions, group):
+            preparing.prepare(one.needs)
+        with tempfile.TemporaryDirectory(prefix="robotkube-") as folder, ThreadPoolExecutor(1) as lane:
+            bounded = [replace(one, goal_seconds=max(one.goal_seconds, group.goal_seconds)) for one in companions]
+            beside = [lane.submit(run, one, places, Path(folder, one.name)) for one in bounded]
+            try:
+                finished.append(run(group, places))
+            except BaseException:
+                for run_beside in beside:
+                    run_beside.cancel()
+                child_runs.interrupt()
+                raise
+            for one, result in zip(companions, beside, strict=True):
+                finished.append(replace(result.result(), group=one))
+                print(f"\n== {one.name}\n{Path(folder, one.name).read_text(errors='replace')}", flush=True)
 
 
 def failures(finished: Iterable[Result]) -> list[str]:
@@ -196,12 +200,15 @@ def failures(finished: Iterable[Result]) -> list[str]:
     return [f"failed: {test}: {why}" for one in finished for test, why in one.failures.items()]
 
 
-def table(finished: Iterable[Result]) -> str:
-    """One line per group, and the closing line with the sums."""
+def table(finished: Sequence[Result]) -> str:
+    """One line per group, and the closing line with the sums. No goal holds for one that ran beside another."""
     lines, sums = ["group      passed  failed skipped  seconds    goal"], [0, 0, 0]
+    names = [one.group.name for one in finished]
     for one in finished:
         counts = (one.passed, one.failed, one.skipped)
         late = "  late" if one.seconds > one.group.goal_seconds else ""
+        if one.group.beside in names:
+            late = f"  beside {one.group.beside}"
         cells = "{:>6} {:>7} {:>7}".format(*counts)
         lines.append(f"{one.group.name:<10} {cells} {one.seconds:>8.1f} {one.group.goal_seconds:>7}{late}")
         sums = [total + count for total, count in zip(sums, counts, strict=True)]
@@ -219,17 +226,17 @@ def main() -> int:
     tier = THOROUGH if arguments.thorough else (FAST,) if arguments.fast else GROUPS
     groups = [group for group in every if group.name in arguments.only] if arguments.only else list(tier)
     finished: list[Result] = []
-    group = groups[0]
     try:
         if any(one.needs != "nothing" for one in groups):
             preflight.require()
-        for group in groups:
-            finished.append(run(group, arguments.places))
+        run_all(groups, arguments.places, finished)
     except SetUpError as error:
-        finished.append(Result(group, 0, 1, 0, 0.0))
-        print(f"error: {group.name} cannot be run, nor what comes after it: {error}", file=sys.stderr)
+        ended = {one.group.name for one in finished}
+        missing = [group for group in groups if group.name not in ended]
+        finished += [Result(group, 0, 1, 0, 0.0) for group in missing]
+        print(f"error: {', '.join(group.name for group in missing)} cannot be run: {error}", file=sys.stderr)
     except KeyboardInterrupt:
-        print(f"interrupted in {group.name}", file=sys.stderr)
+        print("interrupted", file=sys.stderr)
         return 130
     differences = principles.differences()
     if differences and any(one.group.name in ("platform", "clusters") for one in finished):

@@ -47,6 +47,12 @@ class Request:
     values: Mapping[str, Any] = field(default_factory=dict)
     driving: float = 0
 
+    @property
+    def described(self) -> str:
+        """What one run has in common with another that takes as long."""
+        settings = (f"{key}={value}" for key, value in sorted(self.settings.items()))
+        return " ".join([self.scenario.name, *([self.variant] if self.variant else []), *settings])
+
     def settled(self) -> Scenario:
         """The scenario with its parameters; ScenarioError."""
         return definition.load(self.scenario, [f"{key}={value}" for key, value in self.settings.items()], self.variant)
@@ -92,7 +98,7 @@ def run(request: Request) -> int:
     if request.until != "scenario":
         print(f"export KUBECONFIG={installer.kubeconfig}")
         return 0
-    with steps.step("scenario"):
+    with steps.step("scenario", of=request.described):
         seconds = dict(steps.seconds)
         code = running.run(request.scenario, request.name, request.settings, request.variant, set_up_seconds=seconds)
     if request.driving:

@@ -15,6 +15,10 @@ WEB_PAGES = (
     "commands above show the same."
 )
 ROBOTKUBE = "ci/python -m robotkube.cli"
+SEEING = (
+    f"`{ROBOTKUBE} watch` shows what happens as it happens, until ctrl-C; `{ROBOTKUBE} open` opens the console, or "
+    "says what shows the same."
+)
 
 
 def kubectl_folder() -> Path | None:
@@ -52,4 +56,5 @@ def lines(scenario: Scenario, kubeconfig: Path, forge: Endpoint) -> Iterator[str
     for what, command in commands(scenario, kubeconfig, forge):
         yield f"  # {what}"
         yield f"  {command}"
+    yield SEEING
     yield WEB_PAGES

@@ -39,6 +39,7 @@ from scenarios.runner.observing import BrokerObserver, PodWatch
 from scenarios.runner.page import page, value
 from scenarios.runner.placing import Volumes, place_bags
 from scenarios.runner.readiness import Readiness
+from scenarios.runner.showing import Showing, showing
 from scenarios.runner.tasks import TaskWatch
 from scenarios.runner.waiting import RunError, wait_for
 
@@ -74,6 +75,7 @@ class Run:
     set_up_seconds: dict[str, float]
     actor: Actor
     cables: Cables
+    showing: Showing
     volume_folders: Mapping[str, Path] = field(default_factory=dict)
     releases_before: Mapping[str, str] = field(default_factory=dict)
     main_before: str = ""
@@ -159,11 +161,13 @@ def _run(scenario: Scenario, cluster: str, made: Mapping[str, Path], seconds: di
             set_up_seconds=seconds,
             actor=actor,
             cables=Cables(scenario, provider.emulator(), _print_progress),
+            showing=showing(access.kubeconfig, _print_progress),
         )
         actor.before_kill = going.keep_plans
         going.cables.check()
         try:
-            done = execute(going, made)
+            with going.showing.going_on():
+                done = execute(going, made)
         finally:
             going.cables.reset()
         show(going, done, reports)
@@ -277,6 +281,7 @@ def play(going: Run) -> None:
     """Tells all players to start on one whole second; a story without players begins at once."""
     if not going.scenario.players:
         going.started = time.time_ns()
+        going.showing.begin(going.started)
         going.cables.play(going.started)
         return
     if going.scenario.records:
@@ -287,7 +292,10 @@ def play(going: Run) -> None:
         going.access.put_simulation(agent, going.name, going.started)
     if time.time_ns() > going.started:
         going.warn("starting the players took longer than the start was ahead: they began late")
-    going.progress(f"{going.name}: {len(going.scenario.players)} players start in {START_DELAY_SECONDS} s")
+    going.showing.begin(going.started)
+    length = routes.duration_seconds(going.scenario.parameters)
+    players = f"{len(going.scenario.players)} players start in {START_DELAY_SECONDS} s"
+    going.progress(f"{going.name}: {players} and play for {length} s")
 
 
 def wait_for_end(going: Run) -> None:
@@ -316,7 +324,7 @@ def _wait_for_players(going: Run) -> None:
         return f"{len(open_files)} of {len(files)} ledgers have no end yet: {', '.join(open_files[:3])}"
 
     limit = START_DELAY_SECONDS + length + PLAY_SECONDS_MARGIN
-    wait_for("the players to finish", limit, ended, open_ledgers, poll_seconds=1.0, progress=going.progress)
+    wait_for("the players to finish", limit, ended, open_ledgers, poll_seconds=1.0)
 
 
 def _played(scenario: Scenario) -> list[tuple[str, str]]:
@@ -441,6 +449,7 @@ def _summaries(going: Run, released: Sequence[ReleasedChart]) -> dict[str, str]:
 def show(going: Run, done: report.Report, reports: Path) -> None:
     """Prints timeline, table, files and the commands of inspection."""
     files = report.write(done, reports / going.scenario.name, page(done))
+    print("\nThe run, by what it has measured:")
     print("\n".join([*timeline.lines(done.inputs, done.moments), *cables.lines(done.inputs.cables)]), flush=True)
     print()
     for row in done.table:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from robotkube.cli.live.moments import observed_text, releases_text
 from scenarios.runner.encounters import Encounter
 from scenarios.runner.inputs import NANOSECONDS, Plan, RunInputs, StepDone, TaskLife
 
@@ -54,7 +55,7 @@ def _of_encounter(number: int, encounter: Encounter) -> Iterator[Moment]:
     yield Moment(start.time, f"event {number}: {', '.join(start.agents)}{_distance(start.distance_m)} ({start.rule})")
     if start.done:
         yield Moment(start.done, f"task {start.task} created")
-    yield from _of_plan(encounter.plan, "deployment", "deployment observed: synced and healthy")
+    yield from _of_plan(encounter.plan, "deployment")
     for pod in encounter.pods:
         yield Moment(pod.created, f"pod {pod.namespace}/{pod.name} created")
         if pod.running:
@@ -68,27 +69,19 @@ def _of_encounter(number: int, encounter: Encounter) -> Iterator[Moment]:
         yield Moment(stop.time, f"event {number} ends: {', '.join(stop.agents)}{_distance(stop.distance_m)}")
         if stop.done:
             yield Moment(stop.done, f"task {stop.task or start.task} withdrawn")
-    yield from _of_plan(encounter.withdrawal, "removal", "removal observed: Applications and pods gone")
+    yield from _of_plan(encounter.withdrawal, "removal")
 
 
-def _of_plan(plan: Plan | None, what: str, observed: str) -> Iterator[Moment]:
+def _of_plan(plan: Plan | None, what: str) -> Iterator[Moment]:
     if plan is None:
         return
     if plan.proposed:
         yield Moment(plan.proposed, f"{what} proposed: {plan.subject}", plan.pull_request)
     if plan.merged:
-        yield Moment(plan.merged, f"{what} merged: {_releases(plan)}", plan.pull_request, plan.commit)
+        releases = releases_text(plan.created, plan.changed, plan.removed)
+        yield Moment(plan.merged, f"{what} merged: {releases}", plan.pull_request, plan.commit)
     if plan.observed:
-        yield Moment(plan.observed, observed, plan.pull_request, plan.commit)
-
-
-def _releases(plan: Plan) -> str:
-    parts = [
-        f"{len(releases)} {word}"
-        for word, releases in (("new", plan.created), ("changed", plan.changed), ("removed", plan.removed))
-        if releases
-    ]
-    return f"releases: {', '.join(parts) or 'none'}"
+        yield Moment(plan.observed, observed_text(what), plan.pull_request, plan.commit)
 
 
 def _distance(metres: float | None) -> str:

@@ -118,9 +118,16 @@ recordings_{{ include "robotkube.ros" . }}
 {{- /* The agents, as the settings files list them. */ -}}
 {{- define "robotkube.agents" -}}
 {{- range .Values.agents }}
-- {name: {{ .name }}, role: {{ .role }}, namespace: {{ .name }}, records: {{ .records | default false }}}
+- {name: {{ .name }}, {{ if .reserved }}reserved: true{{ else }}role: {{ .role }}{{ end }}, namespace: {{ .name }}, records: {{ .records | default false }}}
 {{- else }} []
 {{- end }}
+{{- end }}
+
+{{- /* Names of the agents that main may enroll, separated by commas. */ -}}
+{{- define "robotkube.reservedAgents" -}}
+{{- $found := list }}
+{{- range .Values.agents }}{{ if .reserved }}{{ $found = append $found .name }}{{ end }}{{ end }}
+{{- join ", " $found -}}
 {{- end }}
 
 {{- /* Kept on uninstall when something in it is kept: a Namespace that goes takes its volume claims along. Argument: an agent. */ -}}

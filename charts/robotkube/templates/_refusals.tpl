@@ -20,7 +20,13 @@
 {{- if has $agent.name $taken }}
 {{- $problems = append $problems (printf "%s: this namespace belongs to the cluster or the platform. Use another name." $at) }}
 {{- end }}
-{{- if not (has $agent.role $roles) }}
+{{- if $agent.reserved }}
+{{- if $agent.role }}
+{{- $problems = append $problems (printf "%s: has a role and is reserved. Leave the role out, main gives it when the agent is enrolled, or reserved for an agent that is there from the beginning." $at) }}
+{{- end }}
+{{- else if not $agent.role }}
+{{- $problems = append $problems (printf "%s: has no role. Give one of %s, or reserved: true for an agent that main enrolls later." $at (join ", " $roles)) }}
+{{- else if not (has $agent.role $roles) }}
 {{- $problems = append $problems (printf "%s: unknown role %q. Use one of: %s." $at $agent.role (join ", " $roles)) }}
 {{- end }}
 {{- $claims := list }}
@@ -123,6 +129,8 @@
 {{- $problems = append $problems (printf "suites.enabled is true, but no agent has role cloud and suites.agent is empty: suites need an agent to run on. Declare one, name one of agents in suites.agent, %s" $off) }}
 {{- else if and .Values.suites.agent (not (has .Values.suites.agent $seen)) }}
 {{- $problems = append $problems (printf "suites.agent: %q is none of agents. Use one of: %s." .Values.suites.agent (join ", " $seen)) }}
+{{- else if and .Values.suites.agent (has .Values.suites.agent (include "robotkube.reservedAgents" . | splitList ", ")) }}
+{{- $problems = append $problems (printf "suites.agent: %q is reserved, and may have no Node. Use an agent that has a role." .Values.suites.agent) }}
 {{- end }}
 {{- end }}
 {{- if .Values.admission.enabled }}

@@ -66,6 +66,9 @@ oci_registry:
   charts: {{ include "robotkube.charts" . }}
   staging: {{ include "robotkube.packages" (dict "root" . "organisation" "staging") }}
 local_builds: {{ .Values.gate.localBuilds }}
+{{- with include "robotkube.reservedAgents" . }}
+reserved_agents: [{{ . }}]
+{{- end }}
 evidence:
   key: /var/run/secrets/robotkube/key/key.pem
   keys: /etc/robotkube/keys

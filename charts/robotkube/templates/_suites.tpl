@@ -13,6 +13,6 @@ robotkube-suite-{{ . }}
 {{- /* The agent on whose node suites run: the named one, else the first of role cloud; empty when there is none. */ -}}
 {{- define "robotkube.suitesAgent" -}}
 {{- $found := .Values.suites.agent }}
-{{- range .Values.agents }}{{ if and (not $found) (eq .role "cloud") }}{{ $found = .name }}{{ end }}{{ end -}}
+{{- range .Values.agents }}{{ if and (not $found) (eq (.role | default "") "cloud") }}{{ $found = .name }}{{ end }}{{ end -}}
 {{- $found -}}
 {{- end }}

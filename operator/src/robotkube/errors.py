@@ -12,7 +12,11 @@ Library errors are translated at the adapter and chained; `retriable` says which
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from difflib import get_close_matches
+
+SUGGESTIONS_MAX = 3
+LIKENESS_MIN = 0.7
 
 
 class RobotKubeError(Exception):
@@ -54,3 +58,9 @@ class UnavailableError(RobotKubeError):
 
 class AccountRefusedError(UnavailableError):
     """The other side answers and refuses the account: its password is wrong, or it is not made yet."""
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str:
+    """`did you mean vehicle-01? ` with the `known` names that are like `name`, for an error; empty when none is."""
+    alike = get_close_matches(name, sorted(set(known)), SUGGESTIONS_MAX, LIKENESS_MIN)
+    return f"did you mean {' or '.join(sorted(alike))}? " if alike else ""

@@ -224,7 +224,7 @@ def test_platform_says_all_problems_at_once(helm: Any) -> None:
             {"agents": [CLOUD, {**VEHICLE, "recrods": True}]},
             "at '/agents/1': additional properties 'recrods' not allowed",
         ),
-        ({"agents": [{"name": "vehicle-00"}]}, "at '/agents/0': missing property 'role'"),
+        ({"agents": [{"role": "vehicle"}]}, "at '/agents/0': missing property 'name'"),
         ({"images": {"mongodb": "x"}}, "at '/images': additional properties 'mongodb' not allowed"),
         (
             {"database": {"kind": "postgres"}},

@@ -130,8 +130,8 @@ def test_what_a_process_on_a_robot_imports_is_declared_for_robots(process: str) 
 
 
 @pytest.mark.parametrize("process", COMMANDS_IMPORTED)
-def test_what_the_command_line_imports_is_declared_for_the_platform_or_for_robots(process: str) -> None:
-    assert undeclared(reachable(process), declared("platform", "robot"), NATIVE_TOO) == {}
+def test_what_the_command_line_imports_is_declared_for_the_platform_terminals_or_robots(process: str) -> None:
+    assert undeclared(reachable(process), declared("platform", "terminal", "robot"), NATIVE_TOO) == {}
 
 
 @pytest.mark.parametrize("folder", ["operator/src", "operator/tests", "benchmarks", "ci", "scenarios"])

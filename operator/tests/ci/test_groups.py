@@ -7,11 +7,12 @@ import os
 import subprocess
 import sys
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from ci import results
+from ci import child_runs, results
 from ci import test as groups
 from tests.stages.waiting import until
 
@@ -39,6 +40,18 @@ def test_never_runs(): pass
 """
 
 
+SLEEPING = [
+    sys.executable,
+    "-c",
+    """
+import pathlib, time
+try:
+    pathlib.Path("sleeping").touch()
+    time.sleep(600)
+except KeyboardInterrupt:
+    raise SystemExit(7)
+""",
+]
 HANGING = """
 import pathlib, time, pytest
 @pytest.fixture(scope="session")
@@ -226,7 +239,9 @@ def test_a_group_that_hangs_is_taken_down_and_counted(
     (tmp_path / "operator" / "pyproject.toml").touch()
     (tmp_path / "operator" / "tests" / "some" / "test_some.py").write_text(HANGING)
     monkeypatch.setattr(groups, "TOP", tmp_path)
-    monkeypatch.setattr(groups.Group, "seconds_max", property(lambda _: over_when(tmp_path / "hanging")))
+    wait = child_runs.wait
+    hanging = tmp_path / "hanging"
+    monkeypatch.setattr(child_runs, "wait", lambda process, name, _: wait(process, name, over_when(hanging)))
     counts = groups.run_pytest(groups.Group("some", "not thorough", 1, "nothing", processes))
     assert (counts.passed, counts.failed) == (1, 1)
     assert (tmp_path / "taken-down").exists()
@@ -236,6 +251,50 @@ def over_when(file: Path) -> float:
     """A group's time, which is over when the file is there."""
     until(file.exists, "the test that hangs", SECONDS_MAX)
     return 0.1
+
+
+MEETING = """
+import os, pathlib, time, pytest
+def met(own, other):
+    pathlib.Path(own).write_text(str(os.getpriority(os.PRIO_PROCESS, 0)))
+    for _ in range(600):
+        if pathlib.Path(other).exists():
+            return True
+        time.sleep(0.1)
+@pytest.mark.thorough
+def test_meets_the_first():
+    assert met("second", "first")
+def test_meets_the_second():
+    assert met("first", "second")
+"""
+
+
+def test_a_group_runs_beside_another_at_the_lowest_priority(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "operator" / "tests" / "some").mkdir(parents=True)
+    (tmp_path / "operator" / "pyproject.toml").write_text("[tool.pytest.ini_options]\nmarkers = ['thorough: slow']\n")
+    (tmp_path / "operator" / "tests" / "some" / "test_some.py").write_text(MEETING)
+    monkeypatch.setattr(groups, "TOP", tmp_path)
+    first = groups.Group("first", "not thorough", 60, "nothing")
+    second = groups.Group("second", "thorough", 1, "nothing", beside="first")
+    finished: list[groups.Result] = []
+    groups.run_all([second, first], [groups.TESTS], finished)
+    assert [(one.group, one.passed, one.failed) for one in finished] == [(first, 1, 0), (second, 1, 0)]
+    assert (tmp_path / "second").read_text() == "19" != (tmp_path / "first").read_text()
+    printed = capfd.readouterr().out
+    assert printed.index("== first, beside it second") < printed.index("== second\n")
+    assert printed.count("1 passed") == 2
+    lines = groups.table(finished).splitlines()
+    assert lines[2].endswith("beside first")
+
+
+def test_an_interrupt_ends_what_runs_beside(tmp_path: Path) -> None:
+    with ThreadPoolExecutor(1) as lane:
+        running = lane.submit(child_runs.run, SLEEPING, tmp_path, "some", 600, None, tmp_path / "output")
+        until((tmp_path / "sleeping").exists, "the process", SECONDS_MAX)
+        child_runs.interrupt()
+        assert running.result(SECONDS_MAX) == 7
 
 
 def test_the_last_line_sums_all_groups() -> None:

@@ -14,15 +14,17 @@ import pytest
 import yaml
 
 from robotkube.cli.agents import rights
-from robotkube.cli.agents.accounts import rows
+from robotkube.cli.agents.accounts import OfMain, rows
 from robotkube.cli.main import main
 from robotkube.cli.platform import AGENT_LABEL
+from robotkube.delivery.deployment.core.policies.agents import PATH as AGENTS_PATH
+from robotkube.delivery.deployment.core.policies.agents import write_enrolled
 from robotkube.delivery.deployment.core.policies.links import path_of
 from robotkube.delivery.deployment.core.policies.revoked import PATH as REVOKED_PATH
 from robotkube.delivery.deployment.core.policies.revoked import write_revoked
 from robotkube.delivery.deployment.core.releases import Release
-from robotkube.delivery.rights.core.accounts import ManagerAccount
-from robotkube.delivery.rights.core.origins import revocations
+from robotkube.delivery.rights.core.accounts import AgentAccount, ManagerAccount
+from robotkube.delivery.rights.core.origins import enrollments, revocations
 from robotkube.foundation.forge.adapters.git import GitHistory
 from tests.stages.delivery.main_of_links import POSE_00, POSE_01, bridge, texts
 from tests.stages.delivery.rights_broker import ACCOUNTS
@@ -99,7 +101,8 @@ STOLEN = {"vehicle-00": "its computer was stolen"}
 
 def node(name: str, agent: str, ready: str) -> dict[str, Any]:
     conditions = [{"type": "MemoryPressure", "status": "True"}, {"type": "Ready", "status": ready}]
-    return {"metadata": {"name": name, "labels": {AGENT_LABEL: agent}}, "status": {"conditions": conditions}}
+    status = {"conditions": conditions, "nodeInfo": {"kubeletVersion": "v1.36.0"}}
+    return {"metadata": {"name": name, "labels": {AGENT_LABEL: agent}}, "status": status}
 
 
 def lease(name: str, time: str) -> dict[str, Any]:
@@ -120,15 +123,61 @@ def test_an_agent_has_an_account_and_what_its_nodes_say(repository: Repository) 
         lease("vehicle-00-a", "2026-11-26T10:00:01.500000Z"),
         lease("other", "2027-01-01T00:00:00.000000Z"),
     ]
-    found = rows(ACCOUNTS.agents, revocations(GitHistory(repository.folder).commits({})), nodes, leases)
+    said = OfMain(revocations(GitHistory(repository.folder).commits({})), {})
+    found = rows(ACCOUNTS.agents, said, nodes, leases, {})
     assert [row["agent"] for row in found] == ["cloud-0", "roadside-0", "vehicle-00", "vehicle-01"]
     vehicle, other = found[2], found[3]
     assert vehicle == {
         **{"agent": "vehicle-00", "role": "vehicle", "namespace": "vehicle-00", "account": "revoked"},
-        **{"reason": "its computer was stolen", "by": "manager", "commit": commit},
+        **{"declared": "values", "reason": "its computer was stolen", "by": "manager", "commit": commit},
         **{"nodes": 2, "ready": 1, "seen": "2026-11-26T10:00:09Z"},
+        **{"kubelet": ["v1.36.0"], "releases": [], "join_until": ""},
     }
     assert (other["account"], other["nodes"], other["ready"], other["seen"]) == ("open", 1, 0, "")
+
+
+RESERVED = (*ACCOUNTS.agents, AgentAccount("vehicle-16", "", "vehicle-16"), AgentAccount("edge-9", "", "edge-9"))
+
+
+def test_an_enrolled_agent_has_the_role_and_the_commit_of_main(repository: Repository) -> None:
+    repository.merge("begin")
+    enrolled = {AGENTS_PATH: write_enrolled({"vehicle-16": "vehicle"})}
+    commit = repository.merge("enroll", **enrolled)
+    repository.merge("later", bridge("vehicle-16", POSE_01), **enrolled)
+    commits = GitHistory(repository.folder).commits({})
+    said = OfMain({}, enrollments(commits), {"vehicle-16": ["mqtt-bridge 0.2.0"]})
+    found = {row["agent"]: row for row in rows(RESERVED, said, [], [], {"edge-9": "2026-11-27T01:00:00Z"})}
+    assert found["vehicle-16"] == {
+        **{"agent": "vehicle-16", "role": "vehicle", "namespace": "vehicle-16", "declared": "main"},
+        **{"account": "open", "reason": "", "by": "manager", "commit": commit, "nodes": 0, "ready": 0, "seen": ""},
+        **{"kubelet": [], "releases": ["mqtt-bridge 0.2.0"], "join_until": ""},
+    }
+    reserved = found["edge-9"]
+    assert (reserved["role"], reserved["declared"], reserved["account"]) == ("", "values", "reserved")
+    assert reserved["join_until"] == "2026-11-27T01:00:00Z"
+    repository.merge("broken", **{AGENTS_PATH: "agents: none"})
+    assert set(enrollments(GitHistory(repository.folder).commits({}))) == {"vehicle-16"}
+    repository.merge("gone")
+    assert enrollments(GitHistory(repository.folder).commits({})) == {}
+
+
+def test_rights_of_a_reserved_agent(
+    repository: Repository, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(rights, "Platform", lambda _: None)
+    monkeypatch.setattr(rights, "declared", lambda _: replace(ACCOUNTS, agents=RESERVED))
+    monkeypatch.setattr(rights, "history", lambda _: nullcontext(GitHistory(repository.folder)))
+    repository.merge("begin", bridge("vehicle-16", POSE_01))
+    assert main(["agent", "rights", "vehicle-16"]) == 0
+    assert capsys.readouterr().out == (
+        "vehicle-16 is reserved, and has no rights until policies/agents.yaml on main enrolls it\n"
+    )
+    repository.merge(
+        "enroll", bridge("vehicle-16", POSE_01), **{AGENTS_PATH: write_enrolled({"vehicle-16": "vehicle"})}
+    )
+    assert main(["agent", "rights", "vehicle-16", "-o", "json"]) == 0
+    topics = {row["topic"] for row in json.loads(capsys.readouterr().out)["rights"]}
+    assert {"mqtt/vehicles/vehicle_16/#", "mqtt/vehicles/vehicle_01/pose"} <= topics
 
 
 def test_who_is_restored_or_whose_file_is_broken(repository: Repository) -> None:

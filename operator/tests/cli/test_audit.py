@@ -70,7 +70,7 @@ def test_nothing_found_ends_with_0(line: Line) -> None:
     assert code == 0
     assert re.search(r"2026-11-18T11:19:41Z  2026-11-18T11:22:41Z  cloud-0/recorder-a +recorder 0\.1\.0", out)
     assert re.search(r"cloud-0/meeting +#7 of manager, automatic", out)
-    assert re.search(r"recorder 0\.1\.0  [0-9a-f]{12}  install +passed", out)
+    assert re.search(r"recorder 0\.1\.0  sha256:[0-9a-f]{64}  install +passed", out)
     assert "findings: 0\n" in out
     assert "Cannot be told from Git: which containers ran" in out
     assert err == "robotkube: deployment repository: 6 commits\nrobotkube: catalogue: 3 commits\n"
@@ -85,7 +85,7 @@ def test_the_table_has_events_traces_and_who_asked_by_a_policy(line: Line, saved
     code, out, _ = line.run(*line.keys, *line.offline, "--html", str(path))
     assert code == 0
     assert re.search(rf"[0-9a-f]{{12}}  {SECOND.task} +{SECOND.event} +proximity +{SECOND.trace}\n", out)
-    assert re.search(r"cloud-0/standing +recorder 0\.1\.0 +[0-9a-f]{12} +policy recording +-\n", out)
+    assert re.search(r"cloud-0/standing +recorder 0\.1\.0 +sha256:[0-9a-f]{64} +policy recording +-\n", out)
     asked = "recording on every agent of role cloud"
     assert re.search(rf"{asked} +operator-team +grace +2026-11-18T12:06:41Z +deployment [0-9a-f]{{12}} #7\n", out)
     assert "commits without the gate's record" not in out

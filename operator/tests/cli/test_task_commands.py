@@ -128,6 +128,20 @@ def test_what_is_refused_is_withdrawn_again_when_that_is_asked_for(
     assert (code, "needs --wait" in err) == (2, True)
 
 
+def test_watching_the_platform(line: Line, api: Api) -> None:
+    """Where no manager answers, it says so, and shows what the API server has."""
+    api.task("stands")
+    code, out, err = line.run("watch", "--seconds=1", "--output", "json")
+    told = [json.loads(text) for text in out.splitlines()]
+    assert (code, err) == (0, "")
+    assert told[0]["what"] == "task cloud-0/stands stands: New"
+    assert told[1]["what"].startswith("what is shown may be old: the manager does not answer: no Service manager")
+    assert (told[1]["trouble"], len(told)) == (True, 2)
+    code, out, err = line.run("open", "--print", "fleet")
+    assert (code, out) == (1, "")
+    assert "no Service robotkube-console; `robotkube watch` shows the fleet in the terminal" in err
+
+
 def test_watching(line: Line, api: Api, monkeypatch: pytest.MonkeyPatch) -> None:
     api.task("watched")
     condition = {"type": "Accepted", "status": "True", "reason": "Accepted", "message": "yes"}

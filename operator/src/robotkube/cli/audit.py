@@ -11,13 +11,14 @@ import argparse
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from robotkube.cli.output import Table, lines
 from robotkube.cli.platform import Platform
+from robotkube.cli.terminal.tables import shortened
 from robotkube.delivery.audit.adapters.html_page import page
 from robotkube.delivery.audit.adapters.manifests import RegistryManifests, SavedManifests, SavingManifests
 from robotkube.delivery.audit.loops.auditor import Auditor, Sources
@@ -71,7 +72,8 @@ def audit(options: argparse.Namespace) -> Table:
         _write_page(options.html, document)
     count = len(document["findings"])
     refusal = f"{count} finding{'s' if count > 1 else ''}; what each means: docs/reference/audit.md" if count else ""
-    return Table("audit", (), [document], single=True, refusal=refusal, text=text(document))
+    short = text(document, shortened)
+    return Table("audit", (), [document], single=True, refusal=refusal, text=text(document), terminal_text=short)
 
 
 def _write_page(path: Path, document: Mapping[str, Any]) -> None:
@@ -144,11 +146,13 @@ def _report(line: str) -> None:
     print(f"robotkube: {line}", file=sys.stderr, flush=True)
 
 
-def text(document: Mapping[str, Any]) -> str:
-    """The document for people at a terminal."""
+def text(document: Mapping[str, Any], digest: Callable[[str], str] = str) -> str:
+    """The document for people; `digest` gives the form in which digests are shown."""
     without_record = _without_record(document)
     parts = [
-        *_section("what ran", ("from", "until", "release", "chart", "digest", "asked_by", "nodes"), _ran(document)),
+        *_section(
+            "what ran", ("from", "until", "release", "chart", "digest", "asked_by", "nodes"), _ran(document, digest)
+        ),
         *_section("who asked, who approved", ("time", "commit", "subject", "asked_by", "checked"), _changes(document)),
         *_section("which events led to it", ("commit", "task", "event", "rule", "trace"), _events(document)),
         *_section("what policies asked for", ("asked_for", "by", "approved_by", "time", "where"), _policies(document)),
@@ -157,11 +161,11 @@ def text(document: Mapping[str, Any]) -> str:
             if without_record
             else []
         ),
-        *_section("what had been verified", ("chart", "digest", "suite", "result", "key"), _verified(document)),
+        *_section("what had been verified", ("chart", "digest", "suite", "result", "key"), _verified(document, digest)),
         *_section(
             "which applications had been checked",
             ("application", "digest", "result", "key", "charts"),
-            _tried(document),
+            _tried(document, digest),
         ),
         *_findings(document),
         "cannot be told",
@@ -184,13 +188,13 @@ def _section(title: str, columns: Sequence[str], rows: Sequence[Mapping[str, Any
     ]
 
 
-def _ran(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def _ran(document: Mapping[str, Any], digest: Callable[[str], str]) -> list[Mapping[str, Any]]:
     return [
         {
             **run,
             "until": run["until"] or "now",
             "chart": f"{run['chart']} {run['version']}",
-            "digest": _short(run["digest"]),
+            "digest": digest(run["digest"]),
             "asked_by": run["tasks"] or _applications(run["policies"]),
             "nodes": run["observed"]["nodes"] if run["observed"] else None,
         }
@@ -261,20 +265,20 @@ def _checked(record: Mapping[str, Any] | None) -> str:
     return f"#{record['pull_request']} of {record['author']}, " + (f"approved by {people}" if people else record["way"])
 
 
-def _verified(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def _verified(document: Mapping[str, Any], digest: Callable[[str], str]) -> list[Mapping[str, Any]]:
     rows: list[Mapping[str, Any]] = []
     for chart in document["verified"]:
-        head = {"chart": f"{chart['chart']} {chart['version']}", "digest": _short(chart["digest"]), "key": chart["key"]}
+        head = {"chart": f"{chart['chart']} {chart['version']}", "digest": digest(chart["digest"]), "key": chart["key"]}
         rows += [{**head, "suite": suite["suite"], "result": suite["result"].lower()} for suite in chart["suites"]]
         rows += [{**head, "suite": "summary", "result": chart["problem"] or "holds"}]
     return rows
 
 
-def _tried(document: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+def _tried(document: Mapping[str, Any], digest: Callable[[str], str]) -> list[Mapping[str, Any]]:
     return [
         {
             **row,
-            "digest": _short(row["digest"]),
+            "digest": digest(row["digest"]),
             "result": row["problem"] or "holds",
             "charts": [chart.rpartition("@")[0] for chart in row["charts"]],
         }
@@ -298,5 +302,5 @@ def _findings(document: Mapping[str, Any]) -> list[str]:
     return [*parts, ""]
 
 
-def _short(digest: str) -> str:
-    return digest.removeprefix("sha256:")[:12]
+def _short(commit: str) -> str:
+    return commit[:12]

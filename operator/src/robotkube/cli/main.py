@@ -10,12 +10,16 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from importlib import import_module
 from types import ModuleType
 
 from robotkube.cli.output import FORMATS, Table, write
+from robotkube.cli.terminal import screen
+from robotkube.cli.terminal.bars import working
 from robotkube.errors import InputError, RefusalError, RobotKubeError, UnavailableError
 
 EXIT_DONE = 0
@@ -28,7 +32,8 @@ EXIT_UNPROVED = 4
 @dataclass(frozen=True)
 class Command:
     """One verb of a noun; without a verb the noun is the command. `function` of `module` (below `robotkube.cli`) runs
-    it, `adder` adds its arguments; the module is imported when it is needed, since all of them take two seconds."""
+    it, `adder` adds its arguments; the module is imported when it is needed, since all of them take two seconds.
+    `takes_long`: on a terminal a line says that it is at work; it asks nobody for anything meanwhile."""
 
     noun: str
     verb: str
@@ -36,6 +41,7 @@ class Command:
     module: str
     function: str
     adder: str = ""
+    takes_long: bool = False
 
     @property
     def words(self) -> list[str]:
@@ -44,13 +50,19 @@ class Command:
 
     def run(self, options: argparse.Namespace) -> Table | None:
         """Run it."""
-        table: Table | None = getattr(self._imported(), self.function)(options)
+        with self._shown_at_work():
+            table: Table | None = getattr(self._imported(), self.function)(options)
         return table
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Add its own arguments."""
         if self.adder:
             getattr(self._imported(), self.adder)(parser)
+
+    def _shown_at_work(self) -> AbstractContextManager[None]:
+        if not self.takes_long:
+            return nullcontext()
+        return screen.showing(working(" ".join(["robotkube", *self.words]), time.monotonic()))
 
     def _imported(self) -> ModuleType:
         return import_module(f"robotkube.cli.{self.module}")
@@ -81,10 +93,26 @@ COMMANDS = (
     Command(
         "agent",
         "list",
-        "agents, whether their accounts at the broker are open or revoked, and their Nodes",
+        "agents, whether their accounts at the broker are open, and what their Nodes say",
         "agents.accounts",
         "list_agents",
         "reading",
+    ),
+    Command(
+        "agent",
+        "enroll",
+        "propose that a reserved agent be enrolled; once it is, write the file with which its machine joins",
+        "agents.enrolling",
+        "enroll_agent",
+        "enrolling",
+    ),
+    Command(
+        "agent",
+        "withdraw",
+        "propose that an enrolled agent leave the fleet: its releases go, its account is shut",
+        "agents.enrolling",
+        "withdraw_agent",
+        "withdrawing",
     ),
     Command(
         "agent",
@@ -110,6 +138,22 @@ COMMANDS = (
         "show_rights",
         "asking",
     ),
+    Command(
+        "watch",
+        "",
+        "what the platform does, as it does it; on a terminal with a view of the fleet",
+        "live.watch",
+        "watch_platform",
+        "watching",
+    ),
+    Command(
+        "open",
+        "",
+        "open the address of the fleet, of why something is so, of a plan or of a recording",
+        "cluster.opening",
+        "open_page",
+        "naming",
+    ),
     Command("trace", "", "from an event to the pods and recordings it led to", "traces", "trace", "tracing"),
     Command(
         "audit",
@@ -118,6 +162,7 @@ COMMANDS = (
         "audit",
         "audit",
         "auditing",
+        takes_long=True,
     ),
     Command(
         "status",
@@ -126,6 +171,7 @@ COMMANDS = (
         "status",
         "show_status",
         "asking",
+        takes_long=True,
     ),
     Command(
         "preflight",
@@ -134,6 +180,7 @@ COMMANDS = (
         "cluster.preflight",
         "check_cluster",
         "asking",
+        takes_long=True,
     ),
     Command(
         "break-glass",
@@ -161,6 +208,7 @@ COMMANDS = (
         "recordings.commands",
         "verify_one",
         "verifying",
+        takes_long=True,
     ),
     Command(
         "recording",
@@ -169,8 +217,9 @@ COMMANDS = (
         "recordings.export",
         "export",
         "exporting",
+        takes_long=True,
     ),
-    Command("rule", "test", "the events that rules raise over bags", "rules", "test", "testing"),
+    Command("rule", "test", "the events that rules raise over bags", "rules", "test", "testing", takes_long=True),
     Command("rule", "explain", "the messages and values that an event came from", "rules", "explain", "explaining"),
     Command("registry", "list", "every application and chart", "registry.commands", "list_entries", "choosing_sources"),
     Command("registry", "search", "applications and charts", "registry.commands", "search_entries", "searching"),
@@ -183,6 +232,7 @@ COMMANDS = (
         "registry.commands",
         "validate_registry",
         "validating",
+        takes_long=True,
     ),
     Command("registry", "new", "start an application: charts and their entries", "registry.new", "new", "naming"),
     Command(
@@ -192,6 +242,7 @@ COMMANDS = (
         "registry.trying",
         "try_suites",
         "choosing",
+        takes_long=True,
     ),
     Command(
         "registry",
@@ -200,6 +251,7 @@ COMMANDS = (
         "registry.submit",
         "submit",
         "submitting",
+        takes_long=True,
     ),
     Command(
         "registry",

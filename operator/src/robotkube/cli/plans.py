@@ -44,7 +44,7 @@ def list_releases(options: argparse.Namespace) -> Table:
                 "demands": demands.get(key, []),
                 "nodes": sorted(nodes.get(key, ())),
                 "chart": application.source.get("repoURL", "").rpartition("/")[2],
-                "digest": str(application.source.get("targetRevision", ""))[:19],
+                "digest": str(application.source.get("targetRevision", "")),
                 "plan": application.plan,
                 "sync": application.sync,
                 "health": application.health,

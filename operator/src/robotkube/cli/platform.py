@@ -7,6 +7,7 @@ import base64
 import contextlib
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from robotkube.cli.gate_presence import GATE, GatePresence, presence
@@ -64,6 +65,12 @@ class Platform:
         scope = f"/namespaces/{namespace}" if namespace else ""
         return client.ResourceWatch(self._api, f"/apis/{GROUP}/{VERSION}{scope}/{PLURAL}", "", dict, changed)
 
+    def watch_of_agents(
+        self, kind: str, reduce: Callable[[Mapping[str, Any]], Any], changed: Callable[[str, Any, Any], None]
+    ) -> client.ResourceWatch:
+        """A watch on what agents have of a kind (`pods`, `nodes`), each reduced by `reduce`."""
+        return client.ResourceWatch(self._api, f"/api/v1/{kind}", AGENT_LABEL, reduce, changed)
+
     def pods(self) -> Sequence[Mapping[str, Any]]:
         """The pods of agents' releases."""
         return self._items("/api/v1/pods", [("labelSelector", AGENT_LABEL)])
@@ -74,14 +81,18 @@ class Platform:
 
     def detector_events(self) -> Mapping[str, Mapping[str, Any]]:
         """The pages `/events` of the event detectors that answer, by `<namespace>/<pod>`."""
-        pages: dict[str, Mapping[str, Any]] = {}
+        return {name: read_json_shortened(page) for name, page in self._detector_pages("events")}
+
+    def detector_metrics(self) -> Mapping[str, str]:
+        """The pages `/metrics` of the event detectors that answer, by `<namespace>/<pod>`."""
+        return {name: page.decode() for name, page in self._detector_pages("metrics")}
+
+    def _detector_pages(self, path: str) -> Iterator[tuple[str, bytes]]:
         for pod in self._items("/api/v1/pods", [("labelSelector", DETECTOR_SELECTOR)]):
-            namespace = pod["metadata"]["namespace"]
-            name = pod["metadata"]["name"]
+            namespace, name = pod["metadata"]["namespace"], pod["metadata"]["name"]
             with contextlib.suppress(KeyError, RefusalError, UnavailableError):
-                page = f"/api/v1/namespaces/{namespace}/pods/{name}:8081/proxy/events"
-                pages[f"{namespace}/{name}"] = self._read("GET", page)
-        return pages
+                page = f"/api/v1/namespaces/{namespace}/pods/{name}:8081/proxy/{path}"
+                yield f"{namespace}/{name}", client.call(self._api, "GET", page).data
 
     def withdraw(self, key: str, dry_run: bool) -> None:
         """Delete a task."""
@@ -234,6 +245,13 @@ class Platform:
                 "of your own are its owner's"
             )
         return text
+
+    def api_server(self) -> tuple[str, str]:
+        """The API server's address and the PEM of the authority that the kubeconfig verifies it by, empty when it names
+        none."""
+        configuration = self._api.configuration
+        authority = configuration.ssl_ca_cert
+        return str(configuration.host), Path(authority).read_text(encoding="utf-8") if authority else ""
 
     def agent_nodes(self) -> Sequence[Mapping[str, Any]]:
         """The Nodes of agents."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+from robotkube.delivery.deployment.core.policies.agents import read_enrolled
 from robotkube.delivery.deployment.core.policies.edits import read_edits_policy
 from robotkube.delivery.deployment.core.policies.initial import read_initial_policy
 from robotkube.delivery.deployment.core.policies.links import LinkConsents, read_consents, scope_of
@@ -31,6 +32,7 @@ def test_every_policy_on_the_page_can_be_read() -> None:
     assert merge.way_of_plan("manager-north", ["releases/vehicle-01/a.yaml"]) == AUTOMATIC
     assert read_update_policy(found.pop("policies/updates.yaml")).charts["object-detection"].first == ("vehicle-02",)
     assert read_revoked(found.pop("policies/revoked.yaml")) == {"vehicle-07": "its computer was stolen"}
+    assert read_enrolled(found.pop("policies/agents.yaml")) == {"vehicle-16": "vehicle"}
     assert read_edits_policy(found.pop("policies/edits.yaml")) == "revert"
     consents, problems = read_consents(found, LinkConsents())
     assert problems == ()

@@ -32,7 +32,7 @@ def message(stage: Stage, key: str) -> str:
 
 def link_of(stage: Stage, key: str) -> LinkFault:
     """A topic that the task's links take from vehicle-00."""
-    outcome = stage.manager._planner.outcomes[key]
+    outcome = stage.manager.planner.outcomes[key]
     assert isinstance(outcome, Met)
     release, direction, topic = next(one for one in outcome.links if one[0] == BRIDGE)
     assert release in outcome.releases

@@ -183,7 +183,7 @@ def test_foresight_tells_what_would_happen_and_does_nothing(narrow: Stage) -> No
     document = {"metadata": {"namespace": "cloud-0", "name": "high"}, "spec": dict(narrow.tasks.objects[low]["spec"])}
     document["spec"] |= {"parameters": {"vehicles": list(SECOND)}, "priority": 500, "conflictPolicy": "Preempt"}
     tip, patches, releases = narrow.repository.tip, narrow.tasks.patches, narrow.releases()
-    explanation = narrow.manager._planner.what_if(document)
+    explanation = narrow.manager.planner.what_if(document)
     assert isinstance(explanation.outcome, Met)
     assert any(line.startswith("cloud-0/low is refused, Preempted: gave way") for line in explanation.lines)
     changes = {change.path: change for change in explanation.changes}
@@ -200,7 +200,7 @@ def test_who_was_postponed_takes_the_place_of_what_would_be_withdrawn(narrow: St
     patient = ask(narrow, "patient", SECOND, conflictPolicy="Postpone")
     narrow.settle()
     tip = narrow.repository.tip
-    explanation = narrow.manager._planner.what_if(key)
+    explanation = narrow.manager.planner.what_if(key)
     assert explanation.outcome is None
     assert explanation.lines[0] == f"{key} would be withdrawn"
     assert any(line.startswith(f"{patient} is accepted; its releases: ") for line in explanation.lines)
@@ -214,10 +214,10 @@ def test_who_was_postponed_takes_the_place_of_what_would_be_withdrawn(narrow: St
 def test_foresight_of_what_cannot_be_read_or_changes_nothing(stage: Stage) -> None:
     key = ask(stage, "there")
     stage.settle()
-    same = stage.manager._planner.what_if(stage.tasks.objects[key])
+    same = stage.manager.planner.what_if(stage.tasks.objects[key])
     assert same.changes == ()
     assert same.lines[-1] == "changes nothing in the deployment repository"
     wrong = {**stage.tasks.objects[key], "spec": {**stage.tasks.objects[key]["spec"], "priority": "high"}}
-    outcome = stage.manager._planner.what_if(wrong).outcome
+    outcome = stage.manager.planner.what_if(wrong).outcome
     assert isinstance(outcome, Refused)
     assert outcome.reason == "InvalidParameters"

@@ -352,7 +352,8 @@ def test_a_node_of_an_undeclared_agent_gets_nothing_and_is_reported_once(stage: 
     assert stage.releases() == before
     [(name, reason, text)] = stage.cluster.reports
     assert (name, reason) == ("node-99", "UnknownAgent")
-    assert "declare it (charts/robotkube, values agents), or correct the Node's label robotkube.io/agent" in text
+    assert "declare it (charts/robotkube, values agents), enroll it where its name is reserved" in text
+    assert "or correct the Node's label robotkube.io/agent" in text
 
 
 def test_reports_that_do_not_arrive_are_made_again_and_bounded(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:

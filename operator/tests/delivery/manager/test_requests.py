@@ -68,7 +68,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
     configuration = read_settings(path, read_configuration)
     tasks: Any = SeenTasks()
     leads: Any = lambda *request: None  # noqa: E731
-    telemetry = ManagerTelemetry(stage.manager, stage.tasks, stage.cluster, [], lambda: [], "", "manager")
+    telemetry = ManagerTelemetry(stage.manager, stage.tasks, stage.cluster, lambda: [], "", "manager")
     server = build_server(configuration, stage.manager, tasks, None, telemetry, leads)
     server.start()
     with http_calls.client(base_url=f"http://127.0.0.1:{server.port}", timeout=30) as found:

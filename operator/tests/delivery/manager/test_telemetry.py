@@ -79,7 +79,7 @@ def test_gauges_count_by_the_closed_list_of_reasons() -> None:
         tasks.objects[f"cloud-0/{name}"]["status"] = {"conditions": conditions}
     tasks.create("cloud-0", "new", {})
     cluster.machines = [NodeState(name, name, "vehicle", frozenset(), True) for name in ("known", "stranger")]
-    reader = GaugeReader(tasks, cluster, frozenset({"known"}), broken=lambda: 2, leading=lambda: False)
+    reader = GaugeReader(tasks, cluster, lambda: {"known"}, broken=lambda: 2, leading=lambda: False)
     gauges = reader.read()
     assert gauges.tasks["Accepted", "True", "Accepted"] == 2
     assert gauges.tasks["Accepted", "False", "Other"] == 1

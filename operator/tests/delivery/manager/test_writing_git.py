@@ -319,7 +319,7 @@ def test_a_process_that_waits_is_ready_when_it_could_take_over(stage: Stage) -> 
 
 
 def test_leadership_that_is_lost_while_a_plan_is_computed_stops_its_proposal(stage: Stage) -> None:
-    planner = stage.manager._planner
+    planner = stage.manager.planner
     plan = planner.plan
 
     def lose(started: int) -> Plan | None:

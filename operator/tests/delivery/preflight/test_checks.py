@@ -301,6 +301,13 @@ class TestAgents:
         assert "agent vehicle-00: no Node has the label robotkube.io/agent=vehicle-00" in words
         assert "robotkube.io/role=vehicle" in words
 
+    def test_a_reserved_agent_needs_no_node_and_has_any_role(self) -> None:
+        settings = facts()["settings"]
+        reserved = {**settings, "agents": [*settings["agents"], {"name": "vehicle-16", "reserved": True}]}
+        for nodes in (NODES, [*NODES, node("vehicle-16", "edge")]):
+            found = finding("agents", settings=reserved, nodes=nodes)
+            assert (found.result, found.says.partition(",")[0]) == (OK, "4 agents in the values (1 reserved)")
+
     def test_a_node_of_nobody(self) -> None:
         assert "names no agent of the values -> declare it" in said(finding("agents", nodes=[*NODES, node("stray")]))
 

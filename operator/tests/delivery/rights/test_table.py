@@ -11,11 +11,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robotkube.delivery.deployment.core.borders import Borders
+from robotkube.delivery.deployment.core.policies.agents import PATH as AGENTS_PATH
+from robotkube.delivery.deployment.core.policies.agents import write_enrolled
 from robotkube.delivery.deployment.core.policies.links import path_of
 from robotkube.delivery.deployment.core.policies.revoked import PATH as REVOKED_PATH
 from robotkube.delivery.deployment.core.policies.revoked import write_revoked
 from robotkube.delivery.deployment.core.releases import Release, read_tree
-from robotkube.delivery.rights.core.accounts import ASK, OWNER, READ, WRITE, ManagerAccount, Right, fixed_rights
+from robotkube.delivery.rights.core.accounts import (
+    ASK,
+    OWNER,
+    READ,
+    WRITE,
+    AgentAccount,
+    ManagerAccount,
+    Right,
+    fixed_rights,
+)
 from robotkube.delivery.rights.core.control import (
     DEFAULTS,
     RECEIVE,
@@ -28,6 +39,7 @@ from robotkube.delivery.rights.core.control import (
 )
 from robotkube.delivery.rights.core.differences import access_changes, foreign_changes, missing, role_changes
 from robotkube.delivery.rights.core.grants import MainTable, granted, main_table, rights_of
+from robotkube.errors import DocumentError
 from robotkube.robots.bridge.core.rights import IN, OUT, may, may_anybody
 from robotkube.robots.bridge.core.settings import GATEWAY_TOPICS
 from tests.stages.delivery.main_of_links import POSE_00, POSE_01, bridge, release, texts
@@ -246,6 +258,65 @@ def test_accounts_are_shut_as_main_says(shut: Sequence[str], revoked: Sequence[s
     standing = Standing(ROLES, {**CLIENTS, **{name: Client((name,), (), True) for name in shut}})
     changes = access_changes(standing, ROLES, revoked)
     assert [(one.request["command"], one.request["username"], one.was) for one in changes] == requests
+
+
+RESERVED = replace(ACCOUNTS, agents=(*ACCOUNTS.agents, AgentAccount("vehicle-16", "", "vehicle-16")))
+ENROLLED = {AGENTS_PATH: write_enrolled({"vehicle-16": "vehicle"})}
+
+
+def of_reserved(*releases: Release, before: MainTable | None = None, **policies: str) -> MainTable:
+    return main_table("c" * 40, read_tree(texts(*releases)), RESERVED, before, policies)
+
+
+def test_who_is_enrolled_has_the_rights_of_its_role_and_who_is_not_has_none() -> None:
+    links = (bridge("vehicle-16", POSE_01), bridge("vehicle-01", "/vehicles/vehicle_16/pose"))
+    without, main = of_reserved(*links), of_reserved(*links, **ENROLLED)
+    assert (without.table["vehicle-16"], without.shut) == (frozenset(), {"vehicle-16"})
+    assert (main.enrolled, main.shut, main.problems) == ({"vehicle-16": "vehicle"}, frozenset(), ())
+    assert Right("mqtt/vehicles/vehicle_16/#", WRITE) in main.table["vehicle-16"]
+    assert Right("mqtt/vehicles/vehicle_01/pose", READ) in main.table["vehicle-16"]
+    assert {name: main.table[name] for name in FIXED} == {name: without.table[name] for name in FIXED}
+    revoked = of_reserved(*links, **ENROLLED, **{REVOKED_PATH: write_revoked({"vehicle-16": "stolen"})})
+    assert (revoked.table["vehicle-16"], revoked.shut) == (frozenset(), {"vehicle-16"})
+
+
+def test_who_is_enrolled_stays_so_while_the_file_is_broken() -> None:
+    first = of_reserved(bridge("vehicle-16", POSE_01), **ENROLLED)
+    broken = of_reserved(bridge("vehicle-16", POSE_01), before=first, **{AGENTS_PATH: "agents: [{name: vehicle-16}]"})
+    assert (broken.table, broken.shut) == (first.table, frozenset())
+    assert broken.problems == (
+        "policies/agents.yaml: agents[0].role: missing; who is enrolled stays so until it is mended",
+    )
+    with pytest.raises(DocumentError):  # its role was never known: nothing at the broker changes
+        of_reserved(**{AGENTS_PATH: "agents: [{name: vehicle-16}]"})
+
+
+def test_only_a_reserved_agent_is_enrolled() -> None:
+    named = {"vehicle-16": "vehicle", "vehicle-00": "cloud", "vehicle-99": "vehicle"}
+    main = of_reserved(**{AGENTS_PATH: write_enrolled(named)})
+    assert main.enrolled == {"vehicle-16": "vehicle"}
+    assert main.table["vehicle-00"] == FIXED["vehicle-00"]
+    assert "vehicle-99" not in main.table
+    assert [problem.split(" ")[2] for problem in main.problems] == ["vehicle-00", "vehicle-99"]
+
+
+def test_a_withdrawn_agent_has_nothing_of_a_broken_release_either() -> None:
+    first = of_reserved(bridge("vehicle-16", POSE_01), **ENROLLED)
+    tree = read_tree({"releases/vehicle-16/mqtt-bridge.yaml": "no release"})
+    assert main_table("d" * 40, tree, RESERVED, first, {}).table["vehicle-16"] == frozenset()
+
+
+def test_a_reserved_account_begins_shut_and_an_enrolled_one_stays_open() -> None:
+    accounts = fixed_rights(RESERVED)
+    hashed = dict.fromkeys(wanted_roles(accounts), Password("d", "s", 101))
+
+    def shut(document: Mapping[str, Any]) -> set[str]:
+        return {one["username"] for one in document["clients"] if one.get("disabled")}
+
+    first = first_file(accounts, hashed, None, RESERVED.reserved)
+    assert shut(first) == {"vehicle-16"}
+    opened = {**first, "clients": [{**one, "disabled": False} for one in first["clients"]]}
+    assert shut(first_file(accounts, hashed, opened, RESERVED.reserved)) == set()
 
 
 def test_a_policy_that_cannot_be_read_lets_nobody_in_again() -> None:

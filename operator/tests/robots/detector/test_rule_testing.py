@@ -227,6 +227,10 @@ def test_the_command_compares_with_expectations(
     assert code == 2
     assert "events[0].start: must be seconds" in err
     assert "more: unknown key" in err
+    early = written(tmp_path / "early.yaml", {"events": [{"rule": "near", "agents": ["a"], "start": -0.5, "stop": 2}]})
+    code, _, err = said(capsys, "rule", "test", rules, str(bag), "--expect", early)
+    assert code == 2
+    assert "events[0].start: must be seconds from the begin of the bags, 0 or more" in err
 
 
 def test_an_event_is_explained_from_a_result(

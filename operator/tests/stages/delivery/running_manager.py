@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -68,16 +69,20 @@ def start_manager(
     tasks: MemoryTasks,
     leadership: MemoryLeadership | None = None,
     images: RenderedImages | None = None,
+    reserved: Sequence[str] = (),
 ) -> RunningManager:
-    """A new manager on `folder`; it leads, unless a test says otherwise. `images`: what renders releases."""
+    """A new manager on `folder`; it leads, unless a test says otherwise. `images`: what renders releases; `reserved`:
+    agents that main may enroll, whose Nodes, of vehicles, are there."""
     url, account = installation.url, ("manager", installation.passwords["manager"])
     deployment = GitClone(url, "robotkube/deployment", *account, folder / "deployment")
     relay = objects_relay(installation)
     proposals = ProposalWriter(folder / "deployment", *account, "robotkube-manager", time.time, send_objects=relay.send)
     catalogue = AssuredCatalogue(GitClone(url, "robotkube/catalogue", *account, folder / "catalogue"), trusted_keys())
-    nodes = [NodeState(name, name, role, frozenset({"recording"}), True) for name, role in AGENTS]
+    machines = (*AGENTS, *((name, "vehicle") for name in reserved))
+    nodes = [NodeState(name, name, role, frozenset({"recording"}), True) for name, role in machines]
     cluster, main = MemoryCluster(nodes), MainReader(deployment)
-    settings = ManagerSettings(tuple(Agent(name, role, name) for name, role in AGENTS), CHARTS_URL)
+    agents = (*AGENTS, *((name, "") for name in reserved))
+    settings = ManagerSettings(tuple(Agent(name, role, name) for name, role in agents), CHARTS_URL)
     render, looked_up = Jinja2Templates().render, VerifiedImages(images)
     planner = Planner(settings, tasks, cluster, catalogue, main, render, validate, images=looked_up)
     observer = PlanObserver(cluster, MemoryArgoCD(), lambda call: call(), time.time_ns, time.monotonic)

@@ -90,7 +90,8 @@ DEPLOYMENT = {
     "releases/.gitkeep": "",
 }
 TERM = 1  # of everybody in these tests; where terms rise, a test has a forge of its own
-PROPOSERS = (Proposer("manager", frozenset({"cloud-0", "vehicle-00", "vehicle-01"})),)
+RESERVED = frozenset({"vehicle-16"})
+PROPOSERS = (Proposer("manager", frozenset({"cloud-0", "vehicle-00", "vehicle-01"}) | RESERVED),)
 
 
 def forge_setup(passwords: Mapping[str, str], gate_url: str, webhook_secret: str = WEBHOOK_SECRET) -> ForgeSetup:
@@ -420,7 +421,7 @@ def start_gate(
             GitClone(installation.url, "robotkube/catalogue", *account, folder / "catalogue"), trusted_keys()
         ),
         hook,
-        GateSettings("gate", "robotkube/deployment", "robotkube/catalogue", proposers, CHARTS_URL),
+        GateSettings("gate", "robotkube/deployment", "robotkube/catalogue", proposers, CHARTS_URL, RESERVED),
         validate,
         images,
         time.monotonic,

@@ -60,6 +60,7 @@ class ApiServerProcess:
             f"--secure-port={self.port}", f"--cert-dir={self.folder}/certificates", "--authorization-mode=RBAC",
             f"--token-auth-file={self.folder}/tokens.csv", "--service-cluster-ip-range=10.255.0.0/24",
             f"--disable-admission-plugins={disabled}", "--endpoint-reconciler-type=none",
+            "--enable-bootstrap-token-auth",  # as kubeadm starts it
             "--enable-priority-and-fairness=false",  # nobody waits for others here; it is an eighth of the start
             "--service-account-issuer=https://kubernetes.default.svc", f"--service-account-key-file={key}",
             f"--service-account-signing-key-file={key}", *self.options,

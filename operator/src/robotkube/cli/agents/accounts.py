@@ -1,5 +1,5 @@
-"""The command `robotkube agent list`: agents with their accounts at the broker, who is revoked, and what their Nodes
-say."""
+"""The command `robotkube agent list`: agents with their accounts at the broker, who is revoked, reserved or enrolled,
+and what their Nodes say."""
 
 from __future__ import annotations
 
@@ -7,23 +7,30 @@ import argparse
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from robotkube.cli.agents.joining import token_ends
 from robotkube.cli.forge_access import REPOSITORY, forge_account, reaching
 from robotkube.cli.output import Table
 from robotkube.cli.platform import AGENT_LABEL, Platform
+from robotkube.delivery.deployment.core.releases import RELEASES, Release, read_tree
 from robotkube.delivery.rights.core.accounts import Accounts, AgentAccount
-from robotkube.delivery.rights.core.origins import Revocation, revocations
+from robotkube.delivery.rights.core.origins import Enrollment, Revocation, enrollments, revocations
 from robotkube.delivery.rights.settings import read_accounts
-from robotkube.errors import InputError
+from robotkube.errors import InputError, did_you_mean
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.forge.adapters.git import GitHistory, fetch_history
 
 READER = "argocd"  # which reads the repository and nothing else
-OPEN, REVOKED = "open", "revoked"
-COLUMNS = ("agent", "role", "account", "reason", "by", "commit", "nodes", "ready", "seen")
+OPEN, REVOKED, RESERVED = "open", "revoked", "reserved"
+VALUES, MAIN = "values", "main"
+COLUMNS = (
+    *("agent", "role", "declared", "account", "reason", "by", "commit", "nodes", "ready", "seen"),
+    *("kubelet", "releases", "join_until"),
+)
 
 Document = Mapping[str, Any]
 
@@ -60,43 +67,83 @@ def declared_agent(accounts: Accounts, name: str) -> AgentAccount:
     for agent in accounts.agents:
         if agent.name == name:
             return agent
-    known = ", ".join(agent.name for agent in accounts.agents) or "none"
-    raise InputError(f"no agent {name} is declared; there are: {known}")
+    known = [agent.name for agent in accounts.agents]
+    instead = f"{did_you_mean(name, known)}there are: {', '.join(known) or 'none'}"
+    raise InputError(f"no agent {name} is declared; {instead}")
 
 
 def list_agents(options: argparse.Namespace) -> Table:
-    """List agents: whether main lets their accounts in, and their Nodes. Who is connected just now the broker does not
-    tell; a Node's lease says when its machine was heard of last."""
+    """List agents: where they are declared, whether main lets their accounts in, their Nodes, and what runs there. Who
+    is connected just now the broker does not tell; a Node's lease says when its machine was heard of last. `join_until`
+    is when the token of a file ends that nobody needs any more once the Node is there."""
     platform = Platform(options)
     accounts = declared(platform)
     with history(options) as main:
-        revoked = revocations(main.commits({}))
-    return Table("agents", COLUMNS, rows(accounts.agents, revoked, platform.agent_nodes(), platform.node_leases()))
+        commits = main.commits({})
+        files = main.files(commits[-1].id, (RELEASES,)) if commits else {}
+    said = OfMain(revocations(commits), enrollments(commits), _versions(read_tree(files).releases.values()))
+    nodes, leases = platform.agent_nodes(), platform.node_leases()
+    return Table("agents", COLUMNS, rows(accounts.agents, said, nodes, leases, token_ends(platform)))
+
+
+@dataclass(frozen=True)
+class OfMain:
+    """What main says of agents: who is revoked and who enrolled, by name, and the chart versions of their releases, by
+    namespace."""
+
+    revoked: Mapping[str, Revocation]
+    enrolled: Mapping[str, Enrollment]
+    versions: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
 
 def rows(
     agents: Iterable[AgentAccount],
-    revoked: Mapping[str, Revocation],
+    said: OfMain,
     nodes: Sequence[Document],
     leases: Iterable[Document],
+    tokens: Mapping[str, str],
 ) -> list[Document]:
-    """A row for each agent; `nodes` and `leases` are Nodes of agents and the leases of all Nodes."""
+    """A row for each agent; `nodes` and `leases` are Nodes of agents and the leases of all Nodes, `tokens` say until
+    when an agent's machine can join."""
     heard = {one["metadata"]["name"]: str(one.get("spec", {}).get("renewTime") or "") for one in leases}
     found: list[Document] = []
     for agent in sorted(agents, key=lambda one: one.name):
-        own = [node["metadata"]["name"] for node in nodes if node["metadata"]["labels"][AGENT_LABEL] == agent.name]
-        ready = sum(_ready(node) for node in nodes if node["metadata"]["name"] in own)
-        seen = max((heard.get(name, "") for name in own), default="")
-        row = {"agent": agent.name, "role": agent.role, "namespace": agent.namespace, **_account(revoked, agent.name)}
-        found.append({**row, "nodes": len(own), "ready": ready, "seen": seen.partition(".")[0] + "Z" if seen else ""})
+        own = [node for node in nodes if node["metadata"]["labels"][AGENT_LABEL] == agent.name]
+        seen = max((heard.get(node["metadata"]["name"], "") for node in own), default="")
+        row = {
+            **{"agent": agent.name, "role": agent.role, "namespace": agent.namespace, **_account(said, agent)},
+            **{"nodes": len(own), "ready": sum(_ready(node) for node in own)},
+            **{"seen": seen.partition(".")[0] + "Z" if seen else "", "kubelet": _kubelets(own)},
+            **{"releases": list(said.versions.get(agent.namespace, ())), "join_until": tokens.get(agent.name, "")},
+        }
+        found.append(row)
     return found
 
 
-def _account(revoked: Mapping[str, Revocation], agent: str) -> Document:
-    one = revoked.get(agent)
-    if one is None:
-        return {"account": OPEN, "reason": "", "by": "", "commit": ""}
-    return {"account": REVOKED, "reason": one.reason, "by": one.commit.author, "commit": one.commit.id[:12]}
+def _account(said: OfMain, agent: AgentAccount) -> Document:
+    """Where an agent is declared, and whether its account is open: with the commit that shut or enrolled it."""
+    enrolled = None if agent.role else said.enrolled.get(agent.name)
+    role, declared_by = (enrolled.role, MAIN) if enrolled else (agent.role, VALUES)
+    revoked = said.revoked.get(agent.name)
+    shut_or_enrolled = revoked or enrolled
+    account = REVOKED if revoked else OPEN if role else RESERVED
+    by, commit = (shut_or_enrolled.commit.author, shut_or_enrolled.commit.id[:12]) if shut_or_enrolled else ("", "")
+    reason = revoked.reason if revoked else ""
+    return {"role": role, "declared": declared_by, "account": account, "reason": reason, "by": by, "commit": commit}
+
+
+def _kubelets(nodes: Iterable[Document]) -> list[str]:
+    """The versions of the kubelets of Nodes."""
+    said = {str(node.get("status", {}).get("nodeInfo", {}).get("kubeletVersion") or "") for node in nodes}
+    return sorted(said - {""})
+
+
+def _versions(releases: Iterable[Release]) -> dict[str, list[str]]:
+    """The chart versions of releases, by namespace."""
+    found: dict[str, list[str]] = {}
+    for release in sorted(releases, key=lambda one: one.key):
+        found.setdefault(release.namespace, []).append(f"{release.chart} {release.version}")
+    return {namespace: list(dict.fromkeys(named)) for namespace, named in found.items()}
 
 
 def _ready(node: Document) -> bool:

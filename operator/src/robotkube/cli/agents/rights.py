@@ -10,14 +10,15 @@ from robotkube.cli.agents.accounts import declared, declared_agent, history, rea
 from robotkube.cli.output import Table
 from robotkube.cli.platform import Platform
 from robotkube.delivery.deployment.core.borders import Borders
+from robotkube.delivery.deployment.core.policies.agents import PATH as AGENTS_PATH
+from robotkube.delivery.deployment.core.policies.agents import ROLES
 from robotkube.delivery.deployment.core.policies.links import LinkConsents, read_consents
 from robotkube.delivery.deployment.loops.main_history import POLICIES
 from robotkube.delivery.rights.core.accounts import Accounts, AgentAccount, fixed_rights
 from robotkube.delivery.rights.core.grants import borders_of, topics_of
-from robotkube.delivery.rights.core.origins import Origin, origins, revocations
+from robotkube.delivery.rights.core.origins import Origin, enrollments, origins, revocations
 from robotkube.errors import InputError
 
-ROLES = ("vehicle", "roadside", "edge", "cloud")
 COLUMNS = ("may", "topic", "given_by", "commit", "subject")
 ALWAYS = "always"
 
@@ -43,6 +44,11 @@ def show_rights(options: argparse.Namespace) -> Table:
         policies = main.files(commits[-1].id, (POLICIES,)) if commits else {}
     if revoked := revocations(commits).get(agent.name):
         words = f"{agent.name} is revoked by commit {revoked.commit.id[:12]}, and has no rights: {revoked.reason}\n"
+        return Table("rights", COLUMNS, [], text=words)
+    accounts = accounts.with_enrolled({name: one.role for name, one in enrollments(commits).items()})
+    agent = declared_agent(accounts, agent.name)
+    if not agent.role:
+        words = f"{agent.name} is reserved, and has no rights until {AGENTS_PATH} on main enrolls it\n"
         return Table("rights", COLUMNS, [], text=words)
     borders = borders_of(accounts, read_consents(policies, LinkConsents())[0])
     given = [row for origin in origins(commits, agent) for row in _given(origin, borders)]

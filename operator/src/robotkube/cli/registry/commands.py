@@ -15,7 +15,7 @@ from pathlib import Path
 from robotkube.cli.output import Table
 from robotkube.cli.platform import Platform
 from robotkube.cli.registry.source_problems import source_problems
-from robotkube.errors import InputError, RefusalError, UnavailableError
+from robotkube.errors import InputError, RefusalError, UnavailableError, did_you_mean
 from robotkube.registry.catalogue.adapters.source_folders import read_sources
 from robotkube.registry.catalogue.core.catalogue import read_catalogue
 from robotkube.registry.catalogue.core.chart_versions import CHANNELS, STATES
@@ -109,9 +109,12 @@ def show_entry(options: argparse.Namespace) -> Table:
 
 def show_graph(options: argparse.Namespace) -> Table:
     """List the versions of charts and the upgrades between them. RefusalError: one that is named is not there."""
-    rows = [row for row in upgrade_rows(_entries(options)) if not options.charts or row["chart"] in options.charts]
-    if missing := sorted({*options.charts} - {row["chart"] for row in rows}):
-        raise RefusalError("UnknownChart", f"the catalogue has no chart {', '.join(missing)}")
+    every = upgrade_rows(_entries(options))
+    known = sorted({row["chart"] for row in every})
+    if missing := sorted({*options.charts} - {*known}):
+        instead = f"{did_you_mean(missing[0], known)}there are {', '.join(known) or 'none'}"
+        raise RefusalError("UnknownChart", f"the catalogue has no chart {', '.join(missing)}; {instead}")
+    rows = [row for row in every if not options.charts or row["chart"] in options.charts]
     columns = ("chart", "version", "channel", "state", "replaces", "skips", "upgrades_to")
     return Table("versions", columns, rows, text=dot(rows) if options.dot else "")
 

@@ -14,10 +14,11 @@ from typing import Any
 from robotkube.cli.output import Table
 from robotkube.cli.platform import Platform
 from robotkube.cli.tasks.listing import row, state
+from robotkube.delivery.tasks.adapters.kubernetes_tasks import KubernetesTasks
 from robotkube.delivery.tasks.core.mqtt_messages import own_event
 from robotkube.delivery.tasks.core.refusal_outlooks import without_outlook
 from robotkube.delivery.tasks.core.task_description import GROUP, INVALID_PARAMETERS, POSTPONED, VERSION
-from robotkube.errors import DocumentError, InputError, RefusalError, UnavailableError
+from robotkube.errors import DocumentError, InputError, RefusalError, UnavailableError, did_you_mean
 from robotkube.foundation.documents.core.patterns import PARAMETER_KEY
 from robotkube.foundation.documents.core.times import time_text
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
@@ -180,7 +181,7 @@ def _write(platform: Platform, document: Mapping[str, Any], dry_run: bool) -> st
     present = writer.find(metadata["namespace"], metadata["name"])
     if present is None:
         _check(platform, document, "Nothing was submitted")
-        if writer.create(document):
+        if _create(platform, writer, document):
             return SUBMITTED
         present = writer.find(metadata["namespace"], metadata["name"])
     if present is None:
@@ -193,6 +194,16 @@ def _write(platform: Platform, document: Mapping[str, Any], dry_run: bool) -> st
     _check(platform, {**document, "spec": spec}, f"Nothing was changed{runs}")
     writer.patch_spec(metadata["namespace"], metadata["name"], spec)
     return "changed"
+
+
+def _create(platform: Platform, writer: KubernetesTasks, document: Mapping[str, Any]) -> bool:
+    """Whether the task was created. InputError says which agent was meant, when the namespace is like another one."""
+    try:
+        return writer.create(document)
+    except InputError as error:
+        namespace, known = document["metadata"]["namespace"], platform.agents()
+        instead = "" if namespace in known else did_you_mean(namespace, known).strip()
+        raise InputError(f"{error}; {instead}" if instead else str(error)) from error
 
 
 def _check(platform: Platform, document: Mapping[str, Any], what_is_so: str) -> None:

@@ -89,7 +89,7 @@ class GateConfiguration:
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> GateConfiguration:
     """The configuration in the gate's settings document."""
     keys = ["listen", "log_level", "forge", "oci_registry", "local_builds", "evidence", "hook", "webhook"]
-    root = reader.mapping(document, "", keys, ["suites"])
+    root = reader.mapping(document, "", keys, ["suites", "reserved_agents"])
     forge = root.get("forge") or {}
     access = read_forge(reader, forge, more=["proposers", "publishers"])
     registry = reader.mapping(root.get("oci_registry") or {}, "oci_registry", ["charts", "staging"])
@@ -121,6 +121,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> GateConfi
             catalogue=access.catalogue,
             proposers=tuple(proposer for proposer, _ in proposers),
             charts_url=charts_url,
+            reserved=frozenset(_words(reader, root.get("reserved_agents") or [], "reserved_agents")),
         ),
         publication=PublicationSettings(
             catalogue=access.catalogue,

@@ -21,6 +21,7 @@ from typing import Any
 
 from kubernetes.client import ApiClient
 
+from robotkube.delivery.deployment.core.policies.agents import read_declared
 from robotkube.delivery.manager.adapters.argocd import ArgoCDServer
 from robotkube.delivery.manager.adapters.kubernetes_cluster import KubernetesCluster
 from robotkube.delivery.manager.core.broken_links import BrokenLinks, broken_links
@@ -148,9 +149,7 @@ def _agents(reader: Reader, value: Any) -> tuple[Agent, ...]:
     agents = []
     for index, item in enumerate(reader.sequence(value, "agents")):
         path = f"agents[{index}]"
-        agent = reader.mapping(item, path, ["name", "role", "namespace", "records"])
-        values = [reader.word(agent.get(key), f"{path}.{key}", WORD) for key in ("name", "role", "namespace")]
-        agents.append(Agent(*values))
+        agents.append(Agent(*read_declared(reader, item, path)))
     return tuple(agents)
 
 
@@ -262,9 +261,8 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     renderer = renderer_of(environment)
     manager = build_manager(configuration, cluster, work, schemas, election, holds, renderer, links)
     gateway = _task_gateway(configuration, api, cluster, election, holds, links)
-    names = [agent.name for agent in configuration.manager.agents]
     account = configuration.forge.account.username
-    telemetry = ManagerTelemetry(manager, cluster, cluster, names, holds, configuration.traces, account)
+    telemetry = ManagerTelemetry(manager, cluster, cluster, holds, configuration.traces, account)
     leader = LeaderRequests(election)
     server = build_server(configuration, manager, cluster, gateway, telemetry, leader)
     server.start()

@@ -5,7 +5,7 @@ traces: {endpoint: "http://collector.observability.svc:4318/v1/traces"}     opti
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from robotkube.delivery.manager.adapters.prometheus import PrometheusMetrics
@@ -34,7 +34,6 @@ class ManagerTelemetry:
         manager: ApplicationManager,
         store: TaskStore,
         cluster: Cluster,
-        agents: Collection[str],
         holds: Callable[[], Sequence[DeviceHold]],
         endpoint: str,
         name: str,
@@ -48,7 +47,7 @@ class ManagerTelemetry:
         gauges = GaugeReader(
             store,
             cluster,
-            frozenset(agents),
+            lambda: {agent.name for agent in manager.planner.agents},
             broken=lambda: statistics.broken_files,
             holds=held,
             updates=lambda: statistics.updates.states,

@@ -38,7 +38,7 @@ def write(accounts: Accounts, passwords_file: Path, file: Path) -> int:
     if absent:
         raise InputError(f"{passwords_file}: no password for {', '.join(absent)}; add a line for each")
     hashed = {name: adapter.hashed(passwords[name]) for name in wanted_roles(table)}
-    adapter.write_file(file, first_file(table, hashed, adapter.read_before(file)))
+    adapter.write_file(file, first_file(table, hashed, adapter.read_before(file), accounts.reserved))
     return len(hashed)
 
 

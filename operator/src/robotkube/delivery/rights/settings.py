@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from robotkube.delivery.deployment.core.policies.agents import read_declared
 from robotkube.delivery.rights.core.accounts import EVERYBODY, Accounts, AgentAccount, ManagerAccount
 from robotkube.foundation.documents.core.patterns import NAME
 from robotkube.foundation.documents.core.reader import Reader
@@ -48,15 +49,11 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> RightsCon
 def read_accounts(reader: Reader, root: Mapping[str, Any]) -> Accounts:
     """The keys `agents` and `managers`."""
     agents = [
-        _agent(reader, item, f"agents[{i}]") for i, item in enumerate(reader.sequence(root.get("agents"), "agents"))
+        AgentAccount(*read_declared(reader, item, f"agents[{i}]"))
+        for i, item in enumerate(reader.sequence(root.get("agents"), "agents"))
     ]
     items = enumerate(reader.sequence(root.get("managers"), "managers"))
     return Accounts(tuple(agents), tuple(_manager(reader, item, f"managers[{i}]") for i, item in items))
-
-
-def _agent(reader: Reader, value: Any, path: str) -> AgentAccount:
-    agent = reader.mapping(value, path, ["name", "role", "namespace"], ["records"])
-    return AgentAccount(*(reader.text(agent.get(key), f"{path}.{key}", NAME) for key in ("name", "role", "namespace")))
 
 
 def _manager(reader: Reader, value: Any, path: str) -> ManagerAccount:

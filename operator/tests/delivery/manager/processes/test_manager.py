@@ -63,13 +63,13 @@ def manager(installation: Installation, gate: RunningGate, tmp_path: Path) -> It
     started.stop()
 
 
-def ask(tasks: MemoryTasks) -> None:
+def ask(tasks: MemoryTasks, vehicles: tuple[str, str] = ("vehicle-00", "vehicle-01")) -> None:
     spec = {
         "requester": "cloud-0/event-detector",
         "event": {"rule": "lidar-proximity", "id": "3f2a9c", "trace": "1e3" + "0" * 29, "time": "2026-11-21T10:00:00Z"},
-        "reason": "vehicle-00, vehicle-01 within 400 m",
+        "reason": f"{', '.join(vehicles)} within 400 m",
         "application": "pose-point-cloud-recording",
-        "parameters": {"vehicles": ["vehicle-00", "vehicle-01"]},
+        "parameters": {"vehicles": list(vehicles)},
     }
     tasks.create("cloud-0", "meeting", spec)
 

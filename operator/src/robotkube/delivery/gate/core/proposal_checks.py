@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from robotkube.delivery.deployment.core.borders import speaker
 from robotkube.delivery.deployment.core.break_glass import ACCEPTED_PATH, SIGNERS_PATH, read_accepted, read_signers
 from robotkube.delivery.deployment.core.commit_messages import REPAIR, CommitMessage, read_message
+from robotkube.delivery.deployment.core.policies.agents import PATH as AGENTS_PATH
+from robotkube.delivery.deployment.core.policies.agents import not_reserved, read_enrolled
 from robotkube.delivery.deployment.core.policies.edits import PATH as EDITS_PATH
 from robotkube.delivery.deployment.core.policies.edits import read_edits_policy
 from robotkube.delivery.deployment.core.policies.initial import PATH as INITIAL_PATH
@@ -246,9 +248,11 @@ def _foreign_namespaces(proposal: ProposedCommit, rules: Rules) -> Iterable[str]
     for path, text in sorted(proposal.changes.items()):
         text = None if path in rules.repair and rules.repair[path] == text else text
         parts = path.split("/")
-        if len(parts) != 3 or parts[0] not in (RELEASES, SOURCES) or parts[1] in rules.namespaces:
+        if len(parts) != 3 or parts[0] not in (RELEASES, SOURCES):
             continue
-        if text is not None or parts[1] in rules.others:
+        if text is not None and parts[1] in rules.reserved - rules.enrolled:
+            yield f"{path}: {parts[1]} is reserved, and {AGENTS_PATH} on main does not enroll it: nothing may run there"
+        elif parts[1] not in rules.namespaces and (text is not None or parts[1] in rules.others):
             allowed = ", ".join(sorted(rules.namespaces)) or "none"
             yield f"{path}: {parts[1]!r} is not a namespace that account {rules.account} may touch (it has {allowed})"
 
@@ -293,6 +297,8 @@ def _policy(path: str, text: str | None, rules: Rules) -> Iterable[str]:
         read_update_policy(text, path)
     elif path == REVOKED_PATH:
         yield from _revoked(path, text, rules)
+    elif path == AGENTS_PATH:
+        yield from not_reserved(read_enrolled(text, path), rules.reserved, rules.namespaces | rules.others)
     elif path.startswith(f"{LINKS_FOLDER}/"):
         yield from _consent(path, text, rules)
     else:

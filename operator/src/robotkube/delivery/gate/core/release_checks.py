@@ -29,7 +29,8 @@ class Rules:
     (chart, version), None when the catalogue has none; `images` renders a release and gives the images of its pods,
     InputError when it cannot be rendered; `last_term` is the account's highest term on main, `repair` what
     would bring a broken main back (path -> text, None removes), empty when nothing is broken. `borders` are those
-    between the scopes of `accounts`, all that propose."""
+    between the scopes of `accounts`, all that propose. `reserved` are the agents (and their namespaces) that main may
+    enroll, `enrolled` those of them that it does."""
 
     account: str
     namespaces: frozenset[str]
@@ -43,6 +44,8 @@ class Rules:
     accounts: tuple[str, ...] = ()
     borders: Borders = field(default_factory=Borders)
     repair: Mapping[str, str | None] = field(default_factory=dict)
+    reserved: frozenset[str] = frozenset()
+    enrolled: frozenset[str] = frozenset()
 
 
 def source_problems(path: str, source: Source, rules: Rules) -> Iterable[str]:

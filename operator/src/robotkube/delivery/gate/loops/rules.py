@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 from robotkube.delivery.deployment.core.borders import Borders, scopes_of
+from robotkube.delivery.deployment.core.policies.agents import PATH as AGENTS_PATH
+from robotkube.delivery.deployment.core.policies.agents import read_enrolled
 from robotkube.delivery.deployment.core.policies.links import LinkConsents, read_consents
 from robotkube.delivery.deployment.core.policies.merge import PATH as MERGE_PATH
 from robotkube.delivery.deployment.core.policies.merge import MergePolicy, Way, read_merge_policy
@@ -32,13 +34,15 @@ log = logging.getLogger(__name__)
 @dataclass(frozen=True)
 class GateSettings:
     """The gate's settings. `account`: its own; `deployment`, `catalogue`: `<organisation>/<name>` of the repositories;
-    `proposers`: who may propose releases, and where; `charts_url`: oci://host/organisation."""
+    `proposers`: who may propose releases, and where; `charts_url`: oci://host/organisation; `reserved`: agents that
+    main may enroll."""
 
     account: str
     deployment: str
     catalogue: str
     proposers: tuple[proposal_checks.Proposer, ...]
     charts_url: str
+    reserved: frozenset[str] = frozenset()
 
     def proposer(self, account: str) -> proposal_checks.Proposer | None:
         """The proposer with that account; None when there is none."""
@@ -53,13 +57,14 @@ class GateSettings:
 @dataclass(frozen=True)
 class _Main:
     """releases/ and sources/ at one tip, as text and read, and what would bring them back (see repairs.repair);
-    `consents`: what scopes let pass their borders."""
+    `consents`: what scopes let pass their borders; `enrolled`: who is enrolled."""
 
     tip: str
     files: Mapping[str, str]
     tree: Tree
     repair: Mapping[str, str | None]
     consents: LinkConsents = field(default_factory=LinkConsents)
+    enrolled: frozenset[str] = frozenset()
 
 
 class GateRules:
@@ -109,6 +114,8 @@ class GateRules:
             repair=known.repair,
             accounts=tuple(self._settings.accounts),
             borders=Borders(scopes_of((p.account, p.namespaces) for p in self._settings.proposers), known.consents),
+            reserved=self._settings.reserved,
+            enrolled=known.enrolled,
         )
 
     def _images_of(self, release: Release) -> Sequence[str]:
@@ -116,17 +123,25 @@ class GateRules:
         return self._images(chart, release.values, release.plan, release.name, release.namespace)
 
     def _known(self) -> _Main:
-        """Main's files as they are, read once per tip; its history is read only when something is broken. A consent
-        that cannot be read is what it was before."""
+        """Main's files as they are, read once per tip; its history is read only when something is broken. A policy that
+        cannot be read is what it was before."""
         if self._main_now.tip != self._main.tip:
             files = release_files(self._main, self._main.tip)
             tree = read_tree(files)
             changes = repair(files, older_files(self._main)) if tree.problems else {}
-            consents, problems = read_consents(policy_files(self._main, self._main.tip), self._main_now.consents)
+            policies = policy_files(self._main, self._main.tip)
+            consents, problems = read_consents(policies, self._main_now.consents)
             for problem in problems:
                 log.error("policy unusable commit=%s problem=%r", self._main.tip[:12], problem)
-            self._main_now = _Main(self._main.tip, files, tree, changes, consents)
+            self._main_now = _Main(self._main.tip, files, tree, changes, consents, self._enrolled(policies))
         return self._main_now
+
+    def _enrolled(self, policies: Mapping[str, str]) -> frozenset[str]:
+        try:
+            return frozenset(read_enrolled(policies.get(AGENTS_PATH)))
+        except DocumentError as error:
+            log.error("policy unusable commit=%s problem=%r", self._main.tip[:12], str(error))
+            return self._main_now.enrolled
 
     def proposal(self, commit: Commit, overlaps: Sequence[str] = ()) -> proposal_checks.ProposedCommit:
         """The proposed commit, with main's files before and after it; `overlaps`: what main has changed, too."""

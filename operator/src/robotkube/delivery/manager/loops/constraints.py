@@ -12,6 +12,7 @@ from robotkube.delivery.manager.core.chains import ChainTask, judge, lineage
 from robotkube.delivery.manager.core.composition.composer import Met, Refused
 from robotkube.delivery.manager.core.conflicts import DemandOutcome
 from robotkube.delivery.manager.core.held_changes import held, waiting_tasks
+from robotkube.delivery.manager.core.placement.enrollment import enrolled_agents
 from robotkube.delivery.manager.core.placement.placement import Agent, Fleet
 from robotkube.delivery.manager.core.placement.scopes import (
     Operators,
@@ -37,6 +38,7 @@ class Constraints:
 
     def __init__(self, agents: Sequence[Agent], operators: Operators) -> None:
         self._agents = agents
+        self._enrolled: tuple[Mapping[str, str], Sequence[Agent]] | None = None
         self._operators = operators
         self._unbounded = operators.unbounded
         self._names = {agent.namespace: agent.name for agent in agents}
@@ -45,6 +47,12 @@ class Constraints:
         self._own: tuple[Tree, Tree] | None = None
         self.waiting_tasks: Mapping[str, str] = {}
         self.holds_end_ns: int | None = None
+
+    def agents(self, enrolled: Mapping[str, str]) -> Sequence[Agent]:
+        """The agents that are there while main enrolls these; the same object for the same mapping."""
+        if self._enrolled is None or self._enrolled[0] is not enrolled:
+            self._enrolled = enrolled, enrolled_agents(self._agents, enrolled)
+        return self._enrolled[1]
 
     def fleet(self, whole: Fleet, consents: LinkConsents) -> Fleet:
         """The agents that this manager answers for, with their nodes, and what may be heard of others; the same object

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,12 +20,12 @@ OTHER = "Other"
 
 @dataclass(frozen=True)
 class GaugeReader:
-    """A reader of the gauges from what the process knows already, without the network. `broken`, `holds`, `updates`
-    and `leading` give its own state."""
+    """A reader of the gauges from what the process knows already, without the network. `agents` gives the names of
+    those that are there, `broken`, `holds`, `updates` and `leading` its own state."""
 
     store: TaskStore
     cluster: Cluster
-    agents: frozenset[str]
+    agents: Callable[[], Collection[str]]
     broken: Callable[[], int] = int
     holds: Callable[[], int] = int
     updates: Callable[[], Mapping[str, ReleaseUpdate]] = dict
@@ -34,7 +34,7 @@ class GaugeReader:
     def read(self) -> ManagerGauges:
         """The gauges of this moment."""
         tasks = [task for task in self.store.tasks() if not is_withdrawn(task)]
-        unknown = {node.agent for node in unknown_nodes(self.cluster.nodes(), self.agents)}
+        unknown = {node.agent for node in unknown_nodes(self.cluster.nodes(), self.agents())}
         return ManagerGauges(
             tasks=counted(tasks),
             waiting=sum(_waits(task) for task in tasks),

@@ -9,6 +9,8 @@ import logging
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from robotkube.delivery.deployment.core.policies.agents import PATH as AGENTS_PATH
+from robotkube.delivery.deployment.core.policies.agents import read_enrolled
 from robotkube.delivery.deployment.core.policies.edits import PATH as EDITS_PATH
 from robotkube.delivery.deployment.core.policies.edits import RESPECT, REVERT, EditsPolicy, read_edits_policy
 from robotkube.delivery.deployment.core.policies.initial import PATH as INITIAL_PATH
@@ -35,8 +37,8 @@ def catalogue_page(catalogue: Catalogue, tip: str) -> dict[str, Any]:
 
 
 class MainReader:
-    """Main of the deployment repository: its releases and sources, policies/initial.yaml, policies/edits.yaml and what
-    policies/links/ lets pass between scopes.
+    """Main of the deployment repository: its releases and sources, policies/initial.yaml, policies/edits.yaml, what
+    policies/links/ lets pass between scopes, and whom policies/agents.yaml enrolls.
 
     `edits` are the releases whose file a person was the last to change: path -> the person's commit. `new_commits` are
     those that the last reading brought, oldest first, at most COMMITS_READ_MAX; `notes` those of its commits with the
@@ -51,12 +53,14 @@ class MainReader:
         self.policy_text = ""
         self.edits_policy: EditsPolicy = REVERT
         self.consents = LinkConsents()
+        self.enrolled: Mapping[str, str] = {}
         self.edits: dict[str, str] = {}
         self._editors: dict[str, str] = {}
         self.new_commits: Sequence[Commit] = ()
         self._files: Mapping[str, str] = {}
         self._wanted_first: dict[str, str] = {}
         self._policy_good = False
+        self._enrollment_good = False
 
     @property
     def repository(self) -> DeploymentRepository:
@@ -77,6 +81,7 @@ class MainReader:
         self._read_policy(policies.get(INITIAL_PATH, "{}\n"), newest)
         self._read_edits_policy(policies.get(EDITS_PATH, ""), newest)
         self._read_consents(policies, newest)
+        self._read_enrolled(policies.get(AGENTS_PATH), newest)
         self._files = release_files(self._repository, newest)
         self.tree = read_tree(self._files)
         self.new_commits = self._repository.log(self.tip or None, COMMITS_READ_MAX)
@@ -137,6 +142,18 @@ class MainReader:
             self.edits_policy = read_edits_policy(text) if text else REVERT
         except InputError as error:
             log.error("policy not accepted commit=%s problem=%r", commit[:12], str(error))
+
+    def _read_enrolled(self, text: str | None, commit: str) -> None:
+        try:
+            enrolled = read_enrolled(text)
+        except InputError as error:
+            if not self._enrollment_good:
+                raise
+            log.error("policy not accepted commit=%s problem=%r", commit[:12], str(error))
+            return
+        self._enrollment_good = True
+        if enrolled != self.enrolled:
+            self.enrolled = enrolled
 
     def _read_consents(self, policies: Mapping[str, str], commit: str) -> None:
         self.consents, problems = read_consents(policies, self.consents)

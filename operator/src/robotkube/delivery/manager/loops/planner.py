@@ -68,8 +68,8 @@ UNDECIDED = Refused(POSTPONED, "other pre-emptions are decided first; ask again"
 
 @dataclass(frozen=True)
 class ManagerSettings:
-    """`agents` as declared, all of them; `charts_url` is oci://host/organisation; `operators` is the manager's scope
-    with the narrower ones of operators; a node not ready for longer than `node_lost_seconds` is lost."""
+    """`agents` as declared, also reserved ones; `charts_url` is oci://host/organisation; `operators` is the manager's
+    scope with the narrower ones of operators; a node not ready for longer than `node_lost_seconds` is lost."""
 
     agents: tuple[Agent, ...]
     charts_url: str
@@ -110,7 +110,7 @@ class Planner:
         self._lock = threading.Lock()
         self._memo = Memo()
         self.updating = UpdatePlanner(main.repository, cluster, main.notes)
-        self._known_fleet: tuple[tuple[NodeState, ...], int, int, Fleet] | None = None
+        self._known_fleet: tuple[Sequence[Agent], tuple[NodeState, ...], int, int, Fleet] | None = None
         self._tasks_per_plan = TASKS_PER_PLAN_MAX
         self._held: dict[str, tuple[str, PlanRecord]] = {}
         self._held_differences: dict[str, PlanRecord] = {}
@@ -128,8 +128,8 @@ class Planner:
 
     @property
     def agents(self) -> Sequence[Agent]:
-        """All declared agents."""
-        return self._settings.agents
+        """The declared agents that are there, as main says."""
+        return self._constraints.agents(self._main.enrolled)
 
     @property
     def foreign(self) -> frozenset[str]:
@@ -443,16 +443,17 @@ class Planner:
         return demands
 
     def _fleet(self) -> Fleet:
-        """All agents with their nodes; those that are lost by now are marked."""
+        """All agents that are there, with their nodes; those that are lost by now are marked."""
         nodes = tuple(self._cluster.nodes())
         now_ns = self._now_ns
         seconds = self._settings.node_lost_seconds
+        agents = self.agents
         known = self._known_fleet
-        if known is None or known[0] != nodes or not known[1] <= now_ns < known[2]:
+        if known is None or known[0] is not agents or known[1] != nodes or not known[2] <= now_ns < known[3]:
             until_ns = next_loss_ns(nodes, seconds, now_ns) or sys.maxsize
-            known = (nodes, now_ns, until_ns, fleet(self._settings.agents, nodes, now_ns, seconds))
+            known = (agents, nodes, now_ns, until_ns, fleet(agents, nodes, now_ns, seconds))
             self._known_fleet = known
-        return known[3]
+        return known[4]
 
     def accepted(self) -> None:
         """Note that the gate accepted a plan: tasks may be answered together again."""

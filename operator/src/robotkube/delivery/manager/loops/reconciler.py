@@ -78,7 +78,7 @@ class ApplicationManager:
         self._ports = ports
         self._catalogue = catalogue
         self._main = main
-        self._planner = planner
+        self.planner = planner
         self._observer = observer
         self._now_ns = now_ns
         self._monotonic = monotonic
@@ -95,7 +95,7 @@ class ApplicationManager:
         self._open = OpenProposals(ports.deployment, ports.forge, ports.name)
         self._repairing = MainRepair(main, planner.foreign)
         self._outcome_comments = PlanOutcomeComments(ports.cluster, ports.forge)
-        self._upkeep = Upkeep(ports.cluster, ports.tasks, planner.agents, monotonic)
+        self._upkeep = Upkeep(ports.cluster, ports.tasks, lambda: planner.agents, monotonic)
         self._terms = Terms(ports.deployment, [ports.name])
         self._term: int | None = None
         self._proposal: PendingProposal | None = None
@@ -113,7 +113,7 @@ class ApplicationManager:
 
     def what_if(self, question: Mapping[str, Any] | str) -> Explanation:
         """What would become of a TaskDescription, or without the task of a key; no effect; from any thread."""
-        return self._planner.what_if(question)
+        return self.planner.what_if(question)
 
     # -- waking ---------------------------------------------------------------------------------------------------
 
@@ -267,7 +267,7 @@ class ApplicationManager:
 
     def _seconds_until_due(self) -> float:
         """The seconds until time alone changes what is wanted: a lease or a place in the queue ends."""
-        due = self._planner.next_due_ns
+        due = self.planner.next_due_ns
         return RESYNC_SECONDS if due is None else (due - self._now_ns()) / 1e9
 
     def _read(self, flags: set[str], reads: bool, webhook_tip: str) -> None:
@@ -312,7 +312,7 @@ class ApplicationManager:
             self._proposal = None
             self._attempts = 0
             self._exhausted = False
-            self._planner.accepted()
+            self.planner.accepted()
             self._again()
         elif outcome == "outdated":
             self._outdated(proposal)
@@ -375,7 +375,7 @@ class ApplicationManager:
         elif REPAIR in proposal.plan.message.kinds:
             self._repairing.refused(proposal.plan)
         elif not self._main.tree.problems:
-            self._planner.refused(proposal.plan, proposal.record)
+            self.planner.refused(proposal.plan, proposal.record)
         self._proposal = None
         self._again(DEPLOYMENT)
 
@@ -399,7 +399,7 @@ class ApplicationManager:
             self._flags -= PLANNED_FOR
             seen, self._demand_seen = self._demand_seen, None
         started = self._now_ns()
-        plan = self._planner.verified(lambda: self._decide(started))
+        plan = self.planner.verified(lambda: self._decide(started))
         if self._took_over(plan, seen or started, started) or plan is None:
             return
         named = self._repairing.named(plan)
@@ -407,8 +407,8 @@ class ApplicationManager:
 
     def _decide(self, started: int) -> Plan | None:
         begun = self._monotonic()
-        plan = self._planner.plan(started) if not self._main.tree.problems else self._repairing.plan(started)
-        self.statistics.decided(self._monotonic() - begun, self._planner.updating.updates)
+        plan = self.planner.plan(started) if not self._main.tree.problems else self._repairing.plan(started)
+        self.statistics.decided(self._monotonic() - begun, self.planner.updating.updates)
         return plan
 
     def _took_over(self, plan: Plan | None, seen: int, started: int) -> bool:
@@ -430,7 +430,7 @@ class ApplicationManager:
         record.times["proposed"] = started
         self.records.add(record)
         self.statistics.plan(record, "taken_over")
-        self._proposal = PendingProposal(plan, record, self._monotonic(), asked=asked_for(plan, self._planner.tasks))
+        self._proposal = PendingProposal(plan, record, self._monotonic(), asked=asked_for(plan, self.planner.tasks))
         log.info("plan taken over plan=%s pull_request=%d", record.id, pull.number)
         return True
 
@@ -440,7 +440,7 @@ class ApplicationManager:
             return
         message = write_message(plan.message.signed(self._ports.name, self._term))
         record.commit = self._ports.proposals.commit(plan.base, plan.files, message)
-        proposal = PendingProposal(plan, record, self._monotonic(), asked=asked_for(plan, self._planner.tasks))
+        proposal = PendingProposal(plan, record, self._monotonic(), asked=asked_for(plan, self.planner.tasks))
         self.records.add(record)
         try:
             number = self._ports.proposals.propose(record.commit, plan.id, plan.title, self._body(plan))
@@ -459,17 +459,17 @@ class ApplicationManager:
         )
 
     def _body(self, plan: Plan) -> str:
-        return (self._repairing if REPAIR in plan.message.kinds else self._planner).describe(plan)
+        return (self._repairing if REPAIR in plan.message.kinds else self.planner).describe(plan)
 
     # -- reporting ------------------------------------------------------------------------------------------------
 
     def _situation(self) -> Situation:
         return Situation(
-            outcomes=self._planner.outcomes,
-            decided=self._planner.decided,
-            offloaded=self._planner.offloaded,
-            held=self._planner.held,
-            waiting=self._planner.waiting,
+            outcomes=self.planner.outcomes,
+            decided=self.planner.decided,
+            offloaded=self.planner.offloaded,
+            held=self.planner.held,
+            waiting=self.planner.waiting,
             present=self._main.tree.releases,
             applications=self._ports.cluster.applications(),
             proposed=self._proposal.record if self._proposal else None,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable
 
 from robotkube.delivery.manager.core.placement.placement import Agent, NodeState
 from robotkube.delivery.manager.core.placement.scopes import unknown_nodes
@@ -17,17 +17,18 @@ log = logging.getLogger(__name__)
 
 
 class UnknownAgents:
-    """The reports about such Nodes: once for each, in the log and as an Event, with what to do."""
+    """The reports about such Nodes: once for each, in the log and as an Event, with what to do. `agents` gives those
+    that are there."""
 
-    def __init__(self, cluster: Cluster, agents: Sequence[Agent]) -> None:
+    def __init__(self, cluster: Cluster, agents: Callable[[], Iterable[Agent]]) -> None:
         self._cluster = cluster
-        self._names = frozenset(agent.name for agent in agents)
+        self._agents = agents
         self._reported: set[tuple[str, str]] = set()
 
     def resync(self) -> tuple[NodeState, ...]:
         """Report new Nodes of undeclared agents, at most EVENTS_AT_ONCE_MAX at once, and return all that are there now.
         What the API server does not accept is tried again with the next resync."""
-        unknown = unknown_nodes(self._cluster.nodes(), self._names)
+        unknown = unknown_nodes(self._cluster.nodes(), {agent.name for agent in self._agents()})
         self._reported &= {(node.name, node.agent) for node in unknown}
         for node in [n for n in unknown if (n.name, n.agent) not in self._reported][:EVENTS_AT_ONCE_MAX]:
             self._report(node)
@@ -36,7 +37,8 @@ class UnknownAgents:
     def _report(self, node: NodeState) -> None:
         text = (
             f"Node {node.name} says it is agent {node.agent!r}, which is not declared, so nothing is placed on it: "
-            "declare it (charts/robotkube, values agents), or correct the Node's label robotkube.io/agent"
+            "declare it (charts/robotkube, values agents), enroll it where its name is reserved (robotkube agent "
+            "enroll), or correct the Node's label robotkube.io/agent"
         )
         try:
             self._cluster.report_on_node(node.name, UNKNOWN_AGENT, text)

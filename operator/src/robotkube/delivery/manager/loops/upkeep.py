@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 
 from robotkube.delivery.manager.core.placement.placement import Agent
 from robotkube.delivery.manager.loops.unknown_agents import UnknownAgents
@@ -59,7 +59,7 @@ class Upkeep:
     """All upkeep together."""
 
     def __init__(
-        self, cluster: Cluster, tasks: TaskStore, agents: Sequence[Agent], monotonic: Callable[[], float]
+        self, cluster: Cluster, tasks: TaskStore, agents: Callable[[], Iterable[Agent]], monotonic: Callable[[], float]
     ) -> None:
         self._unknown = UnknownAgents(cluster, agents)
         self._orphans = Orphans(tasks, monotonic)

@@ -19,14 +19,17 @@ WHY_NO_NODE = "until one is there tasks on it are refused with NoCapableNode"
 
 
 def agents_nodes(settings: Mapping[str, Any], nodes: Sequence[Object]) -> CheckVerdict:
-    """Each agent has a Node, of its role; no Node names an agent that is not declared."""
-    declared = {str(agent.get("name")): str(agent.get("role")) for agent in agents(settings)}
+    """Each agent has a Node, of its role, and a reserved one need not have any; no Node names an agent that is not
+    declared."""
+    declared = {str(agent.get("name")): str(agent.get("role") or "") for agent in agents(settings)}
     owned = of_agents(nodes)
-    problems = [_no_node(name, role) for name, role in declared.items() if name not in owned]
+    problems = [_no_node(name, role) for name, role in declared.items() if role and name not in owned]
     for name, own in owned.items():
         for node in own:
             problems += _wrong_labels(node, name, declared)
-    says = f"{len(declared)} agents in the values, {len(owned)} named by Nodes, {len(nodes)} Nodes"
+    reserved = sum(not role for role in declared.values())
+    says = f"{len(declared)} agents in the values{f' ({reserved} reserved)' if reserved else ''}, "
+    says += f"{len(owned)} named by Nodes, {len(nodes)} Nodes"
     return CheckVerdict(says, problems)
 
 
@@ -52,7 +55,7 @@ def _wrong_labels(node: Object, agent: str, declared: Mapping[str, str]) -> Iter
         fix = f"declare it in the values `agents`, or kubectl label node {name} {AGENT}-"
         why = "there is no namespace, account or volume claim for it, and the manager leaves it out"
         yield Problem(f"label {AGENT}={agent} names no agent of the values", f"Node {name}", why, fix)
-    elif present.get(ROLE, declared[agent]) != declared[agent]:
+    elif declared[agent] and present.get(ROLE, declared[agent]) != declared[agent]:
         fix = (
             f"kubectl label node {name} {ROLE}={declared[agent]} --overwrite, or change the agent's role in the values"
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from robotkube.robots.bridge.core.mqtt_client_format import TYPE_PREFIX
 from robotkube.robots.bridge.core.rights import own_places
@@ -38,7 +38,8 @@ Table = Mapping[str, frozenset[Right]]
 
 @dataclass(frozen=True)
 class AgentAccount:
-    """The account of an agent: of its name, used by whatever runs in its namespace."""
+    """The account of an agent: of its name, used by whatever runs in its namespace. Without a `role` it is reserved:
+    main says which role it has once it is enrolled, and until then the account is shut."""
 
     name: str
     role: str
@@ -64,6 +65,16 @@ class Accounts:
         """The account of the agent whose namespace it is."""
         return next((agent for agent in self.agents if agent.namespace == namespace), None)
 
+    @property
+    def reserved(self) -> frozenset[str]:
+        """The agents that nobody has enrolled."""
+        return frozenset(agent.name for agent in self.agents if not agent.role)
+
+    def with_enrolled(self, enrolled: Mapping[str, str]) -> Accounts:
+        """The accounts while main enrolls these (agent -> role): of reserved agents alone, the others have a role."""
+        agents = (agent if agent.role else replace(agent, role=enrolled.get(agent.name, "")) for agent in self.agents)
+        return replace(self, agents=tuple(agents))
+
 
 def with_types(topic: str) -> tuple[str, ...]:
     """A topic at the broker, and the topics that say what type its messages have."""
@@ -72,7 +83,7 @@ def with_types(topic: str) -> tuple[str, ...]:
 
 def fixed_rights(accounts: Accounts) -> dict[str, frozenset[Right]]:
     """What every account may whatever main says: its own places, the task gateway, and for who observes everything that
-    robots say."""
+    robots say. Who is reserved may nothing."""
     everything = (Right(topic, READ) for topic in with_types(f"{MQTT_PREFIX}/#"))
     return {
         OBSERVER: frozenset(everything),
@@ -82,6 +93,8 @@ def fixed_rights(accounts: Accounts) -> dict[str, frozenset[Right]]:
 
 
 def _of_agent(agent: AgentAccount) -> Iterator[Right]:
+    if not agent.role:
+        return
     for place in own_places(agent):
         for topic in with_types(f"{MQTT_PREFIX}{place}/#"):
             yield Right(topic, READ)

@@ -8,7 +8,7 @@ its own name, and no group.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -72,10 +72,13 @@ def role_document(name: str, listed: Iterable[Entry]) -> dict[str, Any]:
     return {"rolename": name, "acls": acls}
 
 
-def first_file(table: Table, passwords: Mapping[str, Password], before: Any) -> dict[str, Any]:
+def first_file(
+    table: Table, passwords: Mapping[str, Password], before: Any, reserved: Collection[str] = ()
+) -> dict[str, Any]:
     """The file that the broker begins with: accounts and passwords anew, and of those that are still there the lists
-    that they had `before`, if they had any, and whether they were shut; the owner's is always anew."""
-    had, shut = _roles_of(before), _shut_in(before)
+    that they had `before`, if they had any, and whether they were shut; the owner's is always anew. Those that are
+    `reserved` begin shut."""
+    had, shut = _roles_of(before), _shut_in(before) | (frozenset(reserved) - _open_in(before))
     roles = wanted_roles(table)
     kept = {name: had[name] for name in roles if name in had and name != OWNER}
     return {
@@ -106,10 +109,20 @@ def _roles_of(document: Any) -> Mapping[str, frozenset[Entry]]:
 
 def _shut_in(document: Any) -> frozenset[str]:
     """The accounts that are shut in a file of the plugin; none when it is not one."""
+    return frozenset(name for name, shut in _accounts_in(document).items() if shut)
+
+
+def _open_in(document: Any) -> frozenset[str]:
+    """The accounts that are open in a file of the plugin; none when it is not one."""
+    return frozenset(name for name, shut in _accounts_in(document).items() if not shut)
+
+
+def _accounts_in(document: Any) -> Mapping[str, bool]:
+    """Whether each account in a file of the plugin is shut; none when it is not one."""
     try:
-        return frozenset(one["username"] for one in document["clients"] if one.get("disabled"))
+        return {one["username"]: bool(one.get("disabled")) for one in document["clients"]}
     except (KeyError, TypeError, AttributeError):
-        return frozenset()
+        return {}
 
 
 def _read_roles(items: Sequence[Document]) -> dict[str, frozenset[Entry]]:

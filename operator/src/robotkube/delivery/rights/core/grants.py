@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 
 from robotkube.delivery.deployment.core.borders import Borders, said_as, scopes_of, speaker
 from robotkube.delivery.deployment.core.heard_topics import heard_topics
+from robotkube.delivery.deployment.core.policies.agents import PATH as AGENTS_PATH
+from robotkube.delivery.deployment.core.policies.agents import not_reserved, read_enrolled
 from robotkube.delivery.deployment.core.policies.links import LinkConsents, read_consents
 from robotkube.delivery.deployment.core.policies.revoked import PATH as REVOKED_PATH
 from robotkube.delivery.deployment.core.policies.revoked import read_revoked
@@ -86,7 +88,8 @@ def rights_of(grant: Grant, borders: Borders) -> Iterator[Right]:
 class MainTable:
     """The rights at one commit of main: the table, and what gave its variable part, by the release's path. `revoked`:
     agents that may not be at the broker, each with the reason; None: the file that says it could never be read.
-    `consents`: what scopes let pass their borders."""
+    `consents`: what scopes let pass their borders. `enrolled`: the reserved agents that main enrolls, each with its
+    role; `reserved`: those that it does not."""
 
     commit: str
     table: Table
@@ -94,13 +97,23 @@ class MainTable:
     problems: tuple[str, ...] = ()
     revoked: Mapping[str, str] | None = field(default_factory=dict)
     consents: LinkConsents = field(default_factory=LinkConsents)
+    enrolled: Mapping[str, str] = field(default_factory=dict)
+    reserved: frozenset[str] = frozenset()
+
+    @property
+    def shut(self) -> frozenset[str] | None:
+        """The accounts that nobody may use: of agents that are revoked, or not enrolled; None: it is not known."""
+        return None if self.revoked is None else self.reserved.union(self.revoked)
 
 
 def main_table(
     commit: str, tree: Tree, accounts: Accounts, before: MainTable | None, policies: Mapping[str, str]
 ) -> MainTable:
     """The table at a commit; `policies` are its policies, as text. A file that cannot be read keeps what it said
-    `before`: it is broken, and not withdrawn. Who is revoked has no rights."""
+    `before`: it is broken, and not withdrawn. Who is revoked or not enrolled has no rights. DocumentError when who is
+    enrolled was never read: the roles of agents, and so their rights, are not known."""
+    enrolled, unusable = _enrolled(policies.get(AGENTS_PATH), accounts, before)
+    accounts = accounts.with_enrolled(enrolled)
     known = before.granted if before else {}
     broken = [path for path in tree.suspects if path.startswith(f"{RELEASES}/") and path not in tree.releases]
     kept = {path: known[path] for path in broken if path in known}
@@ -112,11 +125,26 @@ def main_table(
         for grant in one.grants:
             table[grant.agent] |= frozenset(rights_of(grant, borders))
     revoked, wrong = _revoked(policies.get(REVOKED_PATH), accounts, before)
-    table |= dict.fromkeys(revoked or (), frozenset())
+    table |= dict.fromkeys(accounts.reserved.union(revoked or ()), frozenset())
     unreadable = (f"{path}: cannot be read; what it gave before stays, until it is mended or gone" for path in broken)
-    problems = (*unreadable, *unread, *wrong, *_problems(every, borders))
+    problems = (*unusable, *unreadable, *unread, *wrong, *_problems(every, borders))
     given = {path: one for path, one in every.items() if one.grants or one.problems}
-    return MainTable(commit, table, given, problems, revoked, consents)
+    return MainTable(commit, table, given, problems, revoked, consents, enrolled, accounts.reserved)
+
+
+def _enrolled(
+    text: str | None, accounts: Accounts, before: MainTable | None
+) -> tuple[Mapping[str, str], tuple[str, ...]]:
+    """The reserved agents that main enrolls, and what is wrong with that."""
+    try:
+        named = read_enrolled(text)
+    except DocumentError as error:
+        if before is None:
+            raise
+        return before.enrolled, (f"{error}; who is enrolled stays so until it is mended",)
+    declared = {agent.name for agent in accounts.agents}
+    wrong = not_reserved(named, accounts.reserved, declared)
+    return {name: role for name, role in named.items() if name in accounts.reserved}, tuple(wrong)
 
 
 def _problems(every: Mapping[str, Granted], borders: Borders) -> Iterator[str]:

@@ -6,6 +6,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from robotkube.delivery.deployment.core.policies.agents import PATH as AGENTS_PATH
+from robotkube.delivery.deployment.core.policies.agents import read_enrolled
 from robotkube.delivery.deployment.core.policies.revoked import PATH as REVOKED_PATH
 from robotkube.delivery.deployment.core.policies.revoked import read_revoked
 from robotkube.delivery.deployment.core.releases import RELEASES, read_release
@@ -44,6 +46,29 @@ def revocations(commits: Iterable[HistoryCommit]) -> dict[str, Revocation]:
                 continue
             since = {agent: standing[agent].commit if agent in standing else commit for agent in named}
             standing = {agent: Revocation(reason, since[agent]) for agent, reason in named.items()}
+    return standing
+
+
+@dataclass(frozen=True)
+class Enrollment:
+    """The role that main gives a reserved agent, and the commit since which it is enrolled."""
+
+    role: str
+    commit: HistoryCommit
+
+
+def enrollments(commits: Iterable[HistoryCommit]) -> dict[str, Enrollment]:
+    """Who is enrolled at the last of main's commits (oldest first); a file that cannot be read changes nothing, as at
+    the broker."""
+    standing: dict[str, Enrollment] = {}
+    for commit in commits:
+        if AGENTS_PATH in commit.changes:
+            try:
+                named = read_enrolled(commit.changes[AGENTS_PATH])
+            except DocumentError:
+                continue
+            since = {agent: standing[agent].commit if agent in standing else commit for agent in named}
+            standing = {agent: Enrollment(role, since[agent]) for agent, role in named.items()}
     return standing
 
 

@@ -50,7 +50,9 @@ class Keeper:
         self._due = 0.0
         self._connections = 0
         self._written: Roles = {}  # what this process gave the broker, empty before that
-        self._shut: Mapping[str, str] | None = None  # whom it shut out, as main said then
+        self._shut: frozenset[str] | None = None  # whom it shut out, as main said then
+        self._revoked: Mapping[str, str] = {}
+        self._enrolled: Mapping[str, str] = {}
         self.applied = ""  # the commit whose table stands at the broker
         self.problem = ""
         self.applied_seconds = 0.0
@@ -102,7 +104,7 @@ class Keeper:
         connections = self._control.connections
         standing = self._standing()
         lists, foreign = role_changes(standing, wanted), list(foreign_changes(standing, wanted))
-        access = access_changes(standing, wanted, main.revoked)
+        access = access_changes(standing, wanted, main.shut)
         self._tell(standing, wanted, foreign, again)
         if lists or foreign or access:
             self._control.ask([change.request for change in (*foreign, *lists, *access)])
@@ -129,13 +131,17 @@ class Keeper:
         log.info("rights applied commit=%s accounts=%d", commit[:12], len(lists))
 
     def _note_access(self, main: MainTable) -> None:
-        """Say who is shut out from now on, and who no more."""
-        before, now = self._shut or {}, main.revoked or {}
+        """Say who is shut out from now on, and who no more, and who is enrolled."""
+        before, now = self._revoked, main.revoked or {}
         for agent in sorted(now.keys() - before.keys()):
             log.warning("account revoked agent=%s commit=%s reason=%r", agent, main.commit[:12], now[agent])
         for agent in sorted(before.keys() - now.keys()):
             log.info("account restored agent=%s commit=%s", agent, main.commit[:12])
-        self._shut = main.revoked
+        for agent in sorted(main.enrolled.keys() - self._enrolled.keys()):
+            log.info("agent enrolled agent=%s role=%s commit=%s", agent, main.enrolled[agent], main.commit[:12])
+        for agent in sorted(self._enrolled.keys() - main.enrolled.keys()):
+            log.warning("agent withdrawn agent=%s commit=%s", agent, main.commit[:12])
+        self._shut, self._revoked, self._enrolled = main.shut, now, main.enrolled
 
     def _standing(self) -> Standing:
         state = self._control.ask(STATE)
@@ -185,12 +191,14 @@ class Keeper:
         unconfirmed = "Seconds since the table was last known to be that of main."
         applied = "Seconds from main's last announcement until the broker had its table."
         shut = "Agents that main says may not be at the broker."
+        enrolled = "Reserved agents that main enrolls."
         revoked = float(len(main.revoked or ())) if main else 0.0
         restored = "Rights, accounts and roles that somebody else had changed, put right."
         counts: dict[tuple[str, ...], float] = {("main",): float(follower.failed), ("broker",): float(self.failed)}
         return (
             Series(f"{prefix}granted", "gauge", "Topics that releases on main give to read.", {(): float(listed)}),
             Series(f"{prefix}revoked", "gauge", shut, {(): revoked}),
+            Series(f"{prefix}enrolled", "gauge", enrolled, {(): float(len(main.enrolled)) if main else 0.0}),
             Series(f"{prefix}behind", "gauge", behind, {(): float(bool(self.reasons_not_ready()))}),
             Series(f"{prefix}unconfirmed_seconds", "gauge", unconfirmed, {(): follower.unconfirmed_seconds}),
             Series(f"{prefix}applied_seconds", "gauge", applied, {(): self.applied_seconds}),

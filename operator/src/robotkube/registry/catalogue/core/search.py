@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from robotkube.errors import InputError, RefusalError
+from robotkube.errors import InputError, RefusalError, did_you_mean
 from robotkube.foundation.documents.core.patterns import NAME
 from robotkube.registry.catalogue.core.chart_versions import ChartVersion
 from robotkube.registry.catalogue.core.guarantees import BOUNDS, UNITS, Guarantee, GuaranteeRequirement, shortfall
@@ -90,11 +90,19 @@ def find(entries: Sequence[Entry], wanted: str) -> list[Entry]:
         newest = sorted(charts, key=lambda entry: version_key(entry["version"]))[-1:]
         matches = [entry for entry in named if entry["kind"] != "chart"] + newest
     if not matches:
-        has = ", ".join(entry["version"] for entry in charts) or "none"
-        known = ", ".join(sorted({entry["name"] for entry in entries})) or "nothing"
-        detail = f"versions of {name}: {has}" if charts else f"there are {known}"
-        raise RefusalError("UnknownEntry", f"the catalogue has no {wanted!r}; {detail}")
+        raise RefusalError("UnknownEntry", f"the catalogue has no {wanted!r}; {_instead(entries, named, name)}")
     return matches
+
+
+def _instead(entries: Sequence[Entry], named: Sequence[Entry], name: str) -> str:
+    """What somebody who asked for an entry that is not there can write instead; `named`: those of the name before @."""
+    versions = ", ".join(entry["version"] for entry in named if entry["kind"] == "chart")
+    if versions:
+        return f"versions of {name}: {versions}"
+    if named:
+        return f"{name} is an application, and those have no versions: write {name}"
+    known = sorted({entry["name"] for entry in entries})
+    return f"{did_you_mean(name, known)}there are {', '.join(known) or 'nothing'}"
 
 
 def upgrade_rows(entries: Sequence[Entry]) -> list[dict[str, Any]]:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from robotkube.errors import DocumentError, InputError
+from robotkube.errors import DocumentError, InputError, did_you_mean
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.foundation.documents.adapters.json_schema import check_schema, validate, violations
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
@@ -129,6 +129,9 @@ def _entry(name: str, charts: Path, registry: Path) -> tuple[Path, str, ChartVer
 
 def _application(name: str, registry: Path) -> str:
     path = registry / "applications" / f"{name}.yaml"
+    if not path.is_file():
+        instead = did_you_mean(name, all_applications(registry))
+        raise InputError(f"{path}: missing; {instead}Name an application of the folder, or give it with --registry")
     text = _text(path)
     try:
         read_application(text, f"applications/{name}.yaml")
@@ -156,7 +159,8 @@ def write_kept(folder: Path, evidence: Mapping[str, str]) -> None:
 def _chart(folder: Path) -> Mapping[str, Any]:
     path = folder / CHART_FILE
     if not path.is_file():
-        raise InputError(f"{path}: missing; name a chart of the folder, or give the folder with --charts")
+        instead = did_you_mean(folder.name, (other.parent.name for other in folder.parent.glob(f"*/{CHART_FILE}")))
+        raise InputError(f"{path}: missing; {instead}Name a chart of the folder, or give the folder with --charts")
     return read_mapping(_text(path), str(path))
 
 

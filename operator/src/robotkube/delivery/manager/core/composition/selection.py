@@ -8,7 +8,7 @@ from typing import Any
 
 from robotkube.delivery.manager.core.composition.inputs import Demand, Inputs, Schema
 from robotkube.delivery.manager.core.placement.reasons import NAMED_MAX
-from robotkube.errors import RefusalError
+from robotkube.errors import RefusalError, did_you_mean
 from robotkube.foundation.documents.core.defaults import with_defaults
 from robotkube.foundation.documents.core.yaml_codec import json_problems
 from robotkube.registry.catalogue.core.applications import Application, ChartRequirement, Service
@@ -76,9 +76,10 @@ class Selector:
         if not demand.provides:
             named = self.catalogue.applications.get(demand.application)
             if named is None:
-                known = ", ".join(sorted(self.catalogue.applications)) or "nothing"
+                known = sorted(self.catalogue.applications)
+                instead = f"{did_you_mean(demand.application, known)}it has {', '.join(known) or 'nothing'}"
                 raise RefusalError(
-                    "UnknownApplication", f"the catalogue has no application {demand.application!r}; it has {known}"
+                    "UnknownApplication", f"the catalogue has no application {demand.application!r}; {instead}"
                 )
             return Choice(named, self._checked(named, demand))
         candidates = [a for _, a in sorted(self.catalogue.applications.items()) if demand.provides in a.provides]

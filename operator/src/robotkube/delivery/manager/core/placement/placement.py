@@ -27,7 +27,8 @@ POSSIBLE: Reason = ("possible", "")
 @dataclass(frozen=True, order=True)
 class Agent:
     """A declared machine of the fleet; its node may not exist yet. With `node` it is one place of an agent that has
-    several Nodes: ROS does not cross Nodes, so each of them counts by itself."""
+    several Nodes: ROS does not cross Nodes, so each of them counts by itself. Without a `role` it is reserved: main
+    says which role it has once it is enrolled."""
 
     name: str
     role: str

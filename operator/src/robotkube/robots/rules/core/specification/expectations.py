@@ -96,7 +96,7 @@ def _event(item: MappingReader, begin: int) -> Event:
 
 def _moment(item: MappingReader, key: str, begin: int) -> int:
     value = item.value(key)
-    if isinstance(value, (int, float)) and not isinstance(value, bool) and -SECONDS_MAX <= value <= SECONDS_MAX:
+    if isinstance(value, (int, float)) and not isinstance(value, bool) and 0 <= value <= SECONDS_MAX:
         return begin + round(value * NANOSECONDS)
     if isinstance(value, str):
         try:
@@ -106,7 +106,7 @@ def _moment(item: MappingReader, key: str, begin: int) -> int:
         if moment is not None and moment.tzinfo is not None:
             since = moment - datetime(1970, 1, 1, tzinfo=UTC)
             return (since.days * 86_400 + since.seconds) * NANOSECONDS + since.microseconds * 1000
-    item.problem(key, "must be seconds from the begin of the bags, or a time such as 2026-11-22T10:00:00Z")
+    item.problem(key, "must be seconds from the begin of the bags, 0 or more, or a time such as 2026-11-22T10:00:00Z")
     return begin
 
 

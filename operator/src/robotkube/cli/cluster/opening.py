@@ -1,0 +1,138 @@
+"""The command `robotkube open`: the address at which the fleet, the reasons of something, a plan or a recording is
+seen, opened in a browser.
+
+That is the console; where there is none, the forge's page of a plan, and for the rest the command that shows it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import sys
+import webbrowser
+from collections.abc import Mapping, Sequence
+from typing import Any
+from urllib.parse import quote
+
+from robotkube.cli.output import Table
+from robotkube.cli.platform import FORGE, Platform
+from robotkube.errors import InputError, RefusalError
+from robotkube.foundation.kubernetes.core.objects import object_key
+
+CONSOLE = "robotkube-console"
+DEPLOYMENT = "robotkube/deployment"
+FLEET, WHY, PLAN, RECORDING = "fleet", "why", "plan", "recording"
+KINDS = ("event", "task", "plan", "pod", "release", "commit")
+TLS_PORTS = (443, 8443)
+COMMIT = re.compile(r"[0-9a-f]{7,40}")
+
+Document = Mapping[str, Any]
+
+
+def naming(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments of the command."""
+    parser.add_argument(
+        "what", nargs="?", choices=(FLEET, WHY, PLAN, RECORDING), default=FLEET, help="what to see (default: fleet)"
+    )
+    parser.add_argument(
+        "id",
+        nargs="?",
+        default="",
+        metavar="ID",
+        help="with why: of an event, a trace, a task, a plan, a pod, a release or a commit; with plan: its id or the "
+        "number of its pull request; with recording: its name",
+    )
+    parser.add_argument("--print", action="store_true", help="only print the address")
+    parser.add_argument("--console-url", metavar="URL", help="the console (default: its Service in the cluster)")
+
+
+def open_page(options: argparse.Namespace) -> Table:
+    """Print the address of what is named, and open it. RefusalError names the command to use instead, where nothing
+    has an address."""
+    if options.what == FLEET and options.id:
+        raise InputError(f"open fleet {options.id}: the fleet has no ID; leave it out, or write open why {options.id}")
+    if options.what != FLEET and not options.id:
+        raise InputError(f"open {options.what}: name which one, such as `robotkube open {EXAMPLES[options.what]}`")
+    platform = Platform(options)
+    console = options.console_url or console_address(platform)
+    if console:
+        address = console.rstrip("/") + _path(platform, options.what, options.id)
+    else:
+        address = _without_console(platform, options)
+    if not options.print and not webbrowser.open(address):
+        print("robotkube: no browser could be opened here; open the address yourself", file=sys.stderr)
+    return Table("page", (), [{"what": options.what, "address": address}], single=True, text=f"{address}\n")
+
+
+EXAMPLES = {WHY: "why cloud-0/meeting", PLAN: "plan 4", RECORDING: "recording NAME"}
+
+
+def console_address(platform: Platform) -> str:
+    """Where the console's Service answers; empty when there is none."""
+    try:
+        host, port = platform.address(CONSOLE)
+    except InputError:
+        return ""
+    return f"{'https' if port in TLS_PORTS else 'http'}://{host}:{port}"
+
+
+def _path(platform: Platform, what: str, wanted: str) -> str:
+    """The console's path of what is named."""
+    if what == FLEET:
+        return "/"
+    if what == RECORDING:
+        kind, name = RECORDING, wanted
+    else:
+        plans = platform.page("/plans")["plans"]
+        if what == PLAN:
+            kind, name = PLAN, str(named_plan(wanted, plans)["plan"])
+        else:
+            kind, name = kind_of(wanted, platform.tasks(), plans, platform.pods()), wanted
+    return f"/{WHY}/{kind}/{quote(name)}"
+
+
+def named_plan(wanted: str, plans: Sequence[Document]) -> Document:
+    """The plan of an id, or of the number of a pull request. RefusalError: the manager remembers none."""
+    number = int(wanted.lstrip("#")) if wanted.lstrip("#").isdecimal() else None
+    for plan in plans:
+        if plan["plan"] == wanted or (number is not None and plan["pull_request"] == number):
+            return plan
+    raise RefusalError("UnknownPlan", f"the manager remembers no plan {wanted}; see `robotkube plan list`")
+
+
+def kind_of(wanted: str, tasks: Sequence[Document], plans: Sequence[Document], pods: Sequence[Document]) -> str:
+    """What an id is of: one of KINDS. RefusalError: nothing that is there, or that the manager remembers, has it."""
+    events = [task.get("spec", {}).get("event", {}) for task in tasks]
+    if any(wanted == object_key(task) for task in tasks) or any(wanted in plan["tasks"] for plan in plans):
+        return "task"
+    if any(wanted == plan["plan"] for plan in plans):
+        return PLAN
+    of_events = {name for event in events for name in (event.get("id"), event.get("trace"))}
+    if wanted in of_events or any(wanted in (*plan["events"], *plan.get("traces", ())) for plan in plans):
+        return "event"
+    if any(wanted == object_key(pod) for pod in pods):
+        return "pod"
+    if any(wanted in plan[word] for plan in plans for word in ("created", "changed", "removed")):
+        return "release"
+    if COMMIT.fullmatch(wanted) and any((plan["commit"] or "").startswith(wanted) for plan in plans):
+        return "commit"
+    known = "`robotkube task list`, `robotkube plan list`; a recording is named by `robotkube open recording NAME`"
+    raise RefusalError("UnknownId", f"no event, task, plan, pod, release or commit {wanted} is known; see {known}")
+
+
+def _without_console(platform: Platform, options: argparse.Namespace) -> str:
+    """The forge's page of a plan. RefusalError: there is no console, and what shows the same in the terminal."""
+    missing = f"there is no console: namespace {options.platform_namespace} has no Service {CONSOLE}"
+    if options.what != PLAN:
+        instead = {
+            FLEET: "`robotkube watch` shows the fleet in the terminal",
+            WHY: f"`robotkube trace {options.id}` lists the same in the terminal",
+            RECORDING: f"`robotkube recording show {options.id}` shows it in the terminal",
+        }
+        raise RefusalError("NoConsole", f"{missing}; {instead[options.what]}")
+    plan = named_plan(options.id, platform.page("/plans")["plans"])
+    if plan["pull_request"] is None:
+        raise RefusalError("NoConsole", f"{missing}, and plan {plan['plan']} has no pull request yet")
+    print(f"robotkube: {missing}; this is the forge's page of the plan", file=sys.stderr)
+    host, port = platform.address(FORGE)
+    return str(plan.get("url") or f"http://{host}:{port}/{DEPLOYMENT}/pulls/{plan['pull_request']}")

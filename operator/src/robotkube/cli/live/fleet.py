@@ -1,0 +1,113 @@
+"""The fleet as a view shows it: agents with their Nodes, pods and releases, as the API server has them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from robotkube.delivery.manager.adapters.pod_states import read_pod, read_time_ns
+from robotkube.foundation.kubernetes.core.objects import object_key
+
+AGENT_LABEL, ROLE_LABEL = "robotkube.io/agent", "robotkube.io/role"
+PLATFORM_ROLE = "platform"
+
+
+@dataclass(frozen=True)
+class PodLook:
+    """One look at a pod of an agent's release."""
+
+    key: str
+    release: str
+    running: bool
+    ready: bool
+    restarts: int
+    ended: str
+
+
+@dataclass(frozen=True)
+class NodeLook:
+    """One look at an agent's Node: `since` when it is as it is (ns since 1970); `silent`: its kubelet says nothing."""
+
+    name: str
+    agent: str
+    role: str
+    ready: bool
+    silent: bool
+    since: int | None
+
+
+@dataclass(frozen=True)
+class AgentRow:
+    """An agent in one line: how many of its pods are ready, and what runs. `since`: when its machine became as it is,
+    where it is not `ready`; `silent`: nothing is heard of it."""
+
+    agent: str
+    role: str
+    silent: bool
+    ready: bool
+    since: int | None
+    pods_ready: int
+    pods: int
+    runs: tuple[str, ...]
+
+    @property
+    def is_fine(self) -> bool:
+        """Whether nobody needs to look at it."""
+        return self.ready and self.pods_ready == self.pods
+
+
+def look_at_pod(item: Mapping[str, Any]) -> PodLook:
+    """A pod of the API server."""
+    state = read_pod(item)
+    ended = [container.ended_why for container in state.containers if container.ended_why]
+    return PodLook(
+        object_key(item),
+        state.release.partition("/")[2],
+        item.get("status", {}).get("phase") == "Running",
+        bool(state.containers) and all(container.ready for container in state.containers),
+        sum(container.restarts for container in state.containers),
+        ended[0] if ended else "",
+    )
+
+
+def look_at_node(item: Mapping[str, Any]) -> NodeLook:
+    """A Node of the API server."""
+    labels = item["metadata"].get("labels", {})
+    found = [one for one in item.get("status", {}).get("conditions", []) if one.get("type") == "Ready"]
+    ready = found[0] if found else {}
+    return NodeLook(
+        item["metadata"]["name"],
+        labels.get(AGENT_LABEL, ""),
+        labels.get(ROLE_LABEL, ""),
+        ready.get("status") == "True",
+        ready.get("status", "Unknown") == "Unknown",
+        read_time_ns(ready.get("lastTransitionTime")),
+    )
+
+
+def rows(nodes: Iterable[NodeLook], pods: Iterable[PodLook]) -> list[AgentRow]:
+    """The agents, those that somebody should look at first, then by name; what carries the platform is no agent."""
+    by_agent: dict[str, list[NodeLook]] = {}
+    for node in nodes:
+        if node.role != PLATFORM_ROLE:
+            by_agent.setdefault(node.agent, []).append(node)
+    by_namespace: dict[str, list[PodLook]] = {}
+    for pod in pods:
+        by_namespace.setdefault(pod.key.partition("/")[0], []).append(pod)
+    found = [_row(agent, of_agent, by_namespace.get(agent, [])) for agent, of_agent in by_agent.items()]
+    return sorted(found, key=lambda row: (row.is_fine, row.agent))
+
+
+def _row(agent: str, nodes: list[NodeLook], pods: list[PodLook]) -> AgentRow:
+    away = [node for node in nodes if not node.ready]
+    return AgentRow(
+        agent,
+        nodes[0].role,
+        any(node.silent for node in away),
+        not away,
+        min((node.since for node in away if node.since), default=None),
+        sum(pod.ready for pod in pods),
+        len(pods),
+        tuple(sorted({pod.release for pod in pods if pod.release})),
+    )
