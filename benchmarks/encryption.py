@@ -1,9 +1,10 @@
-"""What TLS costs bridges and broker in processor time: the same poses and clouds with and without, in turns.
+"""What TLS costs in processor time: bridges and broker, recorder and database, each with and without, in turns.
 
     python3 -m benchmarks.encryption [--turns 2] [--seconds 14]
 
-Three vehicles at 100 Hz, one of them with point clouds. Writes `tls_cost` to build/bench/event-detector.json: the ratio
-with / without of bridges and broker together, of each, and the processor time of both in % of one core.
+Three vehicles at 100 Hz, one of them with point clouds; ten seconds of two vehicles that are stored. Writes `tls_cost`
+and `database_tls_cost` to build/bench/event-detector.json: the ratio with / without of all parts together, of each, and
+the processor time of both, in % of one core and in seconds.
 """
 
 from __future__ import annotations
@@ -16,12 +17,15 @@ from typing import Any
 
 from benchmarks.data_path import DataPath, measure_lossless
 from benchmarks.measuring import Comparison, record
+from benchmarks.recording import cpu_seconds
 from ci import preparing
 from ci.folders import PROJECT
 
 RECORD = PROJECT / "build" / "bench" / "event-detector.json"
 VEHICLES, LIDARS, TURNS, SECONDS = 3, 1, 2, 14.0
 PARTS = ("vehicle bridges", "cloud bridge", "broker")
+STORING = ("recorder", "database")
+STORING_TURNS = 4
 RATIO_MAX = 1.6
 
 
@@ -50,20 +54,38 @@ def measured(turns: int = TURNS, seconds: float = SECONDS) -> dict[str, dict[str
     }
 
 
+def storing(turns: int = STORING_TURNS) -> dict[str, dict[str, float]]:
+    """The same of recorder and database, in seconds."""
+    runs: dict[str, list[dict[str, float]]] = {"plain": [], "tls": []}
+    for turn in range(turns):
+        for encrypted in (False, True) if turn % 2 == 0 else (True, False):
+            runs["tls" if encrypted else "plain"].append(cpu_seconds(encrypted))
+    return {
+        word: {part: round(statistics.median(run[part] for run in each), 3) for part in STORING}
+        for word, each in runs.items()
+    }
+
+
 def cost(found: dict[str, dict[str, float]]) -> dict[str, Any]:
-    """The key `tls_cost`."""
+    """The keys `tls_cost` and `database_tls_cost`."""
     plain, tls = found["plain"], found["tls"]
-    ratios = {part: round(tls[part] / plain[part], 3) for part in PARTS}
+    ratios = {part: round(tls[part] / plain[part], 3) for part in plain}
     return {"ratio": round(sum(tls.values()) / sum(plain.values()), 3), "ratios": ratios, **found}
 
 
 def compare() -> list[Comparison]:
-    """Bridges and broker together, with TLS against without."""
-    found = measured()
-    record(RECORD, {"tls_cost": cost(found)})
+    """Bridges and broker together, recorder and database together, with TLS against without."""
+    moved, stored = measured(), storing()
+    record(RECORD, {"tls_cost": cost(moved), "database_tls_cost": cost(stored)})
+    return [
+        _comparison(f"bridges and broker with TLS, {VEHICLES} x 100 Hz, clouds", "% CPU", moved),
+        _comparison("recorder and database with TLS, ten seconds of two vehicles", "s CPU", stored),
+    ]
+
+
+def _comparison(name: str, unit: str, found: dict[str, dict[str, float]]) -> Comparison:
     ours, baseline = (sum(found[word].values()) for word in ("tls", "plain"))
-    name = f"bridges and broker with TLS, {VEHICLES} x 100 Hz, clouds"
-    return [Comparison(name, "% CPU", ours, baseline, RATIO_MAX, "the same without TLS")]
+    return Comparison(name, unit, ours, baseline, RATIO_MAX, "the same without TLS")
 
 
 def main() -> None:
@@ -73,7 +95,8 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=SECONDS)
     options = parser.parse_args()
     preparing.for_tests()
-    print(json.dumps(cost(measured(options.turns, options.seconds)), indent=1))
+    moved = cost(measured(options.turns, options.seconds))
+    print(json.dumps({"tls_cost": moved, "database_tls_cost": cost(storing())}, indent=1))
 
 
 if __name__ == "__main__":

@@ -17,8 +17,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from benchmarks.pods import Pod
 from ci import preparing
+from robotkube.foundation.certificates.adapters.issuing import throw_away
+from robotkube.foundation.certificates.adapters.verification import ServerVerification
+from robotkube.foundation.certificates.core.lives import Issued
 from robotkube.foundation.database.adapters.connection import DatabaseLogin, connect
+from robotkube.registry.suites.core.namespace_contents import database_files
 from robotkube.robots.recording.adapters.mongodb import PymongoRecordingReader, PymongoRecordingStore
 from robotkube.robots.recording.adapters.segments import McapSegmentReader
 from robotkube.robots.recording.adapters.volume_claim import MountedVolumeClaim
@@ -34,7 +39,7 @@ POSES_PER_SECOND, CLOUDS_PER_SECOND = 100, 10
 POSE_BYTES, CLOUD_BYTES = 100, 320_000
 POSE_TYPE, CLOUD_TYPE = "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/PointCloud2"
 VOLUME, DATABASE = "cloud-0/recordings", "recordings_cloud_0"
-USER, PASSWORD = "administrator", "of this benchmark"
+USER, PASSWORD, NAME = "administrator", "of this benchmark", "database"
 REPETITIONS = 5
 SECONDS_MAX = 60.0
 POLL_SECONDS = 0.001
@@ -61,7 +66,7 @@ Message = tuple[str, str, Sample]
 
 def store_ten_seconds(repetitions: int = REPETITIONS) -> Stored:
     """Measure, in turns with the baseline, each time with a recording of its own. The first of each only warms up."""
-    with tempfile.TemporaryDirectory() as text, _database(Path(text) / "database") as port:
+    with tempfile.TemporaryDirectory() as text, _database(Path(text) / "database") as database:
         folder, messages = Path(text), list(ten_seconds())
         ours = []
         theirs = []
@@ -70,10 +75,25 @@ def store_ten_seconds(repetitions: int = REPETITIONS) -> Stored:
             theirs.append(_plain(folder / "plain", [sample.data for *_, sample in messages]))
             volume = folder / f"volume-{number}"
             volume.mkdir()
-            site = _Site(port, volume, f"bench-{number}")
+            site = _Site(database, volume, f"bench-{number}")
             ours.append(site.store(messages))
             lost += site.lost(messages)
         return Stored(statistics.median(ours[1:]), statistics.median(theirs[1:]), lost)
+
+
+def cpu_seconds(encrypted: bool) -> dict[str, float]:
+    """Processor time of recorder and database for the same ten seconds. RuntimeError when messages were lost."""
+    issued = throw_away(NAME) if encrypted else None
+    with tempfile.TemporaryDirectory() as text, _database(Path(text) / "database", issued) as database:
+        messages, volume = list(ten_seconds()), Path(text) / "volume"
+        volume.mkdir()
+        site = _Site(database, volume, "bench")
+        began = {"recorder": time.process_time(), "database": database.pod.cpu_seconds()}
+        site.store(messages)
+        ended = {"recorder": time.process_time(), "database": database.pod.cpu_seconds()}
+        if site.lost(messages):
+            raise RuntimeError(f"{site.lost(messages)} messages are not found")
+    return {part: ended[part] - began[part] for part in began}
 
 
 def ten_seconds() -> Iterator[Message]:
@@ -86,11 +106,20 @@ def ten_seconds() -> Iterator[Message]:
             yield f"/vehicles/{vehicle}/cloud", CLOUD_TYPE, Sample(stamp, stamp, os.urandom(CLOUD_BYTES))
 
 
+@dataclass(frozen=True)
+class _Database:
+    """A FerretDB process, and how it proves who it is."""
+
+    port: int
+    pod: Pod
+    tls: ServerVerification | None
+
+
 class _Site:
     """A database account, the folder of a volume claim, and the recording that goes there."""
 
-    def __init__(self, port: int, volume: Path, name: str) -> None:
-        self._account = DatabaseLogin("127.0.0.1", port, DATABASE, USER, PASSWORD, "admin")
+    def __init__(self, database: _Database, volume: Path, name: str) -> None:
+        self._account = DatabaseLogin("127.0.0.1", database.port, DATABASE, USER, PASSWORD, "admin", database.tls)
         self._volume = volume
         self._name = name
         topics = [
@@ -158,22 +187,28 @@ def _until(condition: Callable[[], object]) -> None:
 
 
 @contextmanager
-def _database(folder: Path) -> Iterator[int]:
-    """The port of a FerretDB process with the account of the set-up."""
+def _database(folder: Path, issued: Issued | None = None) -> Iterator[_Database]:
+    """A FerretDB process with the account of the set-up; with a certificate it speaks TLS alone."""
     (folder / "data").mkdir(parents=True)
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = int(probe.getsockname()[1])
+    listeners = [f"--listen-addr=127.0.0.1:{port}"]
+    if issued is not None:
+        for name, text in database_files(issued).items():
+            (folder / name).write_text(text)
+        listeners = ["--listen-addr=", f"--listen-tls=127.0.0.1:{port}"]
+        listeners += [f"--listen-tls-cert-file={folder}/tls.crt", f"--listen-tls-key-file={folder}/tls.key"]
     command = [
         str(preparing.tool_chain() / "ferretdb"), "--handler=sqlite", f"--sqlite-url=file:{folder}/data/",
-        f"--state-dir={folder}", f"--listen-addr=127.0.0.1:{port}", "--debug-addr=-", "--telemetry=disable",
-        "--setup-database=admin", "--log-level=ERROR",
+        f"--state-dir={folder}", *listeners, "--debug-addr=-", "--telemetry=disable", "--setup-database=admin",
+        "--log-level=ERROR",
     ]  # fmt: skip
     environment = {**os.environ, "FERRETDB_SETUP_USERNAME": USER, "FERRETDB_SETUP_PASSWORD": PASSWORD}
     process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
         _until(lambda: _listens(port))
-        yield port
+        yield _Database(port, Pod("database", process), ServerVerification(folder / "ca.crt", NAME) if issued else None)
     finally:
         process.terminate()
         process.wait(SECONDS_MAX)

@@ -16,19 +16,15 @@ from kubernetes import client, config
 from kubernetes.client.exceptions import ApiException
 from kubernetes.stream import stream
 
-from robotkube.robots.mqtt.adapters.broker_account import (
-    REQUIRED,
-    SERVER_NAME,
-    TLS,
-    BrokerAccount,
-    read_broker_account,
-)
+from robotkube.foundation.certificates.adapters.account_files import REQUIRED, SERVER_NAME, TLS
+from robotkube.foundation.database.adapters.connection import DatabaseLogin, login_at
+from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount, read_broker_account
 from scenarios.runner.waiting import RunError
 
 PLATFORM, GATE, ARGOCD = "robotkube", "robotkube-gate", "argocd"  # of the platform, of its gate alone, of Argo CD
 ANSWER_SECONDS_MAX = 10
 CONFIGMAP = "simulation"
-AUTHORITIES_MAP = "robotkube-ca"
+AUTHORITIES_MAP, DATABASE_ACCOUNT = "robotkube-ca", "database-account"
 HEALTH_PORT = 8081
 APPLICATIONS = ("argoproj.io", "v1alpha1", ARGOCD, "applications")
 TASKS = ("robotkube.io", "v1alpha1", "taskdescriptions")
@@ -84,10 +80,19 @@ class Access:
         values, broker = self.secret(PLATFORM, secret), self.endpoint("broker")
         folder.chmod(0o700)
         at = {"host": broker.host, "port": str(broker.port), SERVER_NAME: values["host"]}
-        authorities = self.configmap(PLATFORM, AUTHORITIES_MAP) if values.get(TLS) == REQUIRED else {}
+        authorities = self._authorities(values)
         for name, text in {**values, **at, **authorities}.items():
             (folder / name).write_text(text)
         return read_broker_account(folder)
+
+    def database_account(self, namespace: str, folder: Path) -> DatabaseLogin:
+        """The account of a recording agent at the database, as above; `folder` gets the authorities alone."""
+        values, database = self.secret(namespace, DATABASE_ACCOUNT), self.endpoint("database")
+        return login_at((database.host, database.port), values, self._authorities(values).get("ca.crt", ""), folder)
+
+    def _authorities(self, account: Mapping[str, str]) -> Mapping[str, str]:
+        """Who may have signed for what an account is of; empty where that speaks clear text."""
+        return self.configmap(PLATFORM, AUTHORITIES_MAP) if account.get(TLS) == REQUIRED else {}
 
     def simulation(self, namespace: str) -> dict[str, str]:
         """What a vehicle's player was told to play; empty without an order."""

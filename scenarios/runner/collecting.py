@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from robotkube.foundation.database.adapters.connection import DatabaseLogin, connect
+from robotkube.foundation.database.adapters.connection import connect
 from robotkube.robots.recording.core.documents import AUDITS, INDEX, RECORDINGS, SAMPLES
 from scenarios.definition import Scenario, cloud_topic, pose_topic, transform_topic
 from scenarios.runner import storage
@@ -193,25 +194,18 @@ def stored(
     """Recordings of the given events, all their messages, read back from database and segments, and what their audits
     name as missing."""
     namespace = scenario.story.recording_agent
-    secret, address = access.secret(namespace, "database-account"), access.endpoint("database")
-    account = DatabaseLogin(
-        address.host,
-        address.port,
-        secret["database"],
-        secret["username"],
-        secret["password"],
-        secret["authenticationDatabase"],
-    )
-    try:
-        database = connect(account, DATABASE_SECONDS_MAX)
-        known = [storage.recording(document) for document in database[RECORDINGS].find()]
-        mine = tuple(recording for recording in known if recording.event in events)
-        names = {"recording": {"$in": [recording.name for recording in mine]}}
-        samples, index = list(database[SAMPLES].find(names)), list(database[INDEX].find(names))
-        audits = list(database[AUDITS].find(names))
-        database.client.close()
-    except Exception as error:
-        raise RunError(f"database {account.host}:{account.port} as {account.username}: {error}") from error
+    with tempfile.TemporaryDirectory(prefix="database-") as folder:
+        account = access.database_account(namespace, Path(folder))
+        try:
+            database = connect(account, DATABASE_SECONDS_MAX)
+            known = [storage.recording(document) for document in database[RECORDINGS].find()]
+            mine = tuple(recording for recording in known if recording.event in events)
+            names = {"recording": {"$in": [recording.name for recording in mine]}}
+            samples, index = list(database[SAMPLES].find(names)), list(database[INDEX].find(names))
+            audits = list(database[AUDITS].find(names))
+            database.client.close()
+        except Exception as error:
+            raise RunError(f"database {account.host}:{account.port} as {account.username}: {error}") from error
     return mine, storage.stored(samples, index, segment_finder(scenario, volumes)), storage.gaps(audits)
 
 

@@ -58,6 +58,7 @@ database: {{ include "robotkube.database" .agent.name }}
 authenticationDatabase: {{ include "robotkube.database" .agent.name }}
 host: {{ include "robotkube.databaseHost" .root }}
 port: {{ include "robotkube.databasePort" .root | quote }}
+tls: {{ include "robotkube.databaseEncrypted" .root | eq "true" | ternary "required" "off" | quote }}
 {{- end }}
 
 {{- /* An agent's password at the broker: of its name, and of its number once that was raised. Arguments: {root, agent}. */ -}}

@@ -99,7 +99,7 @@ oci://{{ include "robotkube.forgeHost" .root }}/{{ .organisation }}
 {{- end }}
 
 {{- define "robotkube.databasePort" -}}
-{{ eq .Values.database.kind "external" | ternary .Values.database.external.port 27017 | int }}
+{{ eq .Values.database.kind "external" | ternary .Values.database.external.port (include "robotkube.databaseEncrypted" . | eq "true" | ternary 27018 27017) | int }}
 {{- end }}
 
 {{- define "robotkube.hookUrl" -}}

@@ -55,8 +55,11 @@
 {{- define "robotkube.networkEdgePorts" -}}
 {{- $ports := list .edge.port }}
 {{- with .edge.plain }}
-{{- if not (include "robotkube.encrypted" $.root) }}{{ $ports = list }}{{ end }}
-{{- if include "robotkube.plain" $.root }}{{ $ports = append $ports . }}{{ end }}
+{{- $encrypted := include (eq $.edge.to "database" | ternary "robotkube.databaseEncrypted" "robotkube.encrypted") $.root }}
+{{- $plain := include (eq $.edge.to "database" | ternary "robotkube.databasePlain" "robotkube.plain") $.root }}
+{{- if eq $.edge.to "helper" }}{{ $plain = eq $encrypted "true" | ternary "" "true" }}{{ end }}{{- /* one of a run has one port */}}
+{{- if not $encrypted }}{{ $ports = list }}{{ end }}
+{{- if $plain }}{{ $ports = append $ports . }}{{ end }}
 {{- end }}
 {{- toJson $ports }}
 {{- end }}

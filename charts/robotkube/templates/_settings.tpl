@@ -143,6 +143,9 @@ database:
   kind: {{ .Values.database.kind }}
   host: {{ include "robotkube.databaseHost" . }}
   port: {{ include "robotkube.databasePort" . }}
+  {{- if include "robotkube.databaseEncrypted" . }}
+  authorities: /etc/robotkube/authorities/ca.crt
+  {{- end }}
   administrator: /var/run/secrets/robotkube/database/administrator
   accounts:
   {{- range .Values.agents }}{{ if .records }}

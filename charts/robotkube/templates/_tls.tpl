@@ -1,7 +1,7 @@
-{{- /* TLS: who makes the broker's certificate, and how everybody else knows it. */ -}}
+{{- /* TLS: who makes the certificates of broker and database, and how everybody else knows them. */ -}}
 {{- /* The values of tls, also when an upgrade reuses values from before there were any. YAML. */ -}}
 {{- define "robotkube.tls" -}}
-{{- $tls := dict "mode" "made" "plain" false "hours" 2160 "names" list "authorities" "" "provided" (dict "secret" "") }}
+{{- $tls := dict "mode" "made" "plain" false "hours" 2160 "names" list "authorities" "" "provided" (dict "secret" "" "database" "") }}
 {{- $_ := set $tls "issuer" (dict "name" "" "kind" "Issuer" "group" "cert-manager.io") }}
 {{- range $key, $value := .Values.tls | default dict }}
 {{- if kindIs "map" $value }}{{ $value = merge (deepCopy $value) (get $tls $key) }}{{ end }}
@@ -21,6 +21,21 @@
 {{- if and (eq .Values.broker.kind "mosquitto") (or $tls.plain (eq $tls.mode "off")) }}true{{ end -}}
 {{- end }}
 
+{{- /* "true" when connections to the database are encrypted, else empty. */ -}}
+{{- define "robotkube.databaseEncrypted" -}}
+{{- if eq .Values.database.kind "external" }}
+{{- if .Values.database.external.tls }}true{{ end }}
+{{- else }}
+{{- include "robotkube.encrypted" . }}
+{{- end }}
+{{- end }}
+
+{{- /* "true" when the database that is installed here takes connections in clear text, else empty. */ -}}
+{{- define "robotkube.databasePlain" -}}
+{{- $tls := include "robotkube.tls" . | fromYaml -}}
+{{- if and (ne .Values.database.kind "external") (or $tls.plain (eq $tls.mode "off")) }}true{{ end -}}
+{{- end }}
+
 {{- /* "true" when certificates are made here, by the process `certificates`, else empty. */ -}}
 {{- define "robotkube.certificatesMade" -}}
 {{- if and (eq .Values.broker.kind "mosquitto") (eq (include "robotkube.tls" . | fromYaml).mode "made") }}true{{ end -}}
@@ -32,11 +47,26 @@
 {{ eq $tls.mode "provided" | ternary $tls.provided.secret "broker-tls" }}
 {{- end }}
 
-{{- /* The names that the broker's certificate is for: its Service's, and those by which clients elsewhere reach it. JSON. */ -}}
-{{- define "robotkube.brokerNames" -}}
-{{- $short := printf "broker.%s" .Release.Namespace -}}
-{{- $names := list (include "robotkube.brokerHost" .) (printf "%s.svc" $short) $short "broker" -}}
-{{ concat $names (include "robotkube.tls" . | fromYaml).names | uniq | toJson }}
+{{- /* The Secret with the database's certificate and key. */ -}}
+{{- define "robotkube.databaseCertificate" -}}
+{{- $tls := include "robotkube.tls" . | fromYaml -}}
+{{ eq $tls.mode "provided" | ternary $tls.provided.database "database-tls" }}
+{{- end }}
+
+{{- /* What has a certificate of its own here, as {component: names}: those of its Service, and for the broker those by which clients
+       elsewhere reach it. JSON. */ -}}
+{{- define "robotkube.certified" -}}
+{{- $certified := dict "broker" (concat (include "robotkube.serviceNames" (dict "root" . "name" "broker") | fromJsonArray) (include "robotkube.tls" . | fromYaml).names | uniq) }}
+{{- if ne .Values.database.kind "external" }}
+{{- $_ := set $certified "database" (include "robotkube.serviceNames" (dict "root" . "name" "database") | fromJsonArray) }}
+{{- end }}
+{{- toJson $certified }}
+{{- end }}
+
+{{- /* The names of a Service, the longest first. Arguments: {root, name}. JSON. */ -}}
+{{- define "robotkube.serviceNames" -}}
+{{- $short := printf "%s.%s" .name .root.Release.Namespace -}}
+{{ list (include "robotkube.host" .) (printf "%s.svc" $short) $short .name | toJson }}
 {{- end }}
 
 {{- /* How the broker is reached and proves who it is, as keys of the Secrets with accounts. */ -}}
@@ -56,7 +86,7 @@ authorities: /etc/robotkube/authorities/ca.crt
 {{- end }}
 {{- end }}
 
-{{- /* Volume and mount of those who may have signed the broker's certificate: a pod waits until they are known. */ -}}
+{{- /* Volume and mount of those who may have signed certificates of broker and database: a pod waits until they are known. */ -}}
 {{- define "robotkube.authoritiesVolume" -}}
 {{- if include "robotkube.encrypted" . -}}
 - {name: authorities, configMap: {name: robotkube-ca, items: [{key: ca.crt, path: ca.crt}]}}
@@ -76,20 +106,51 @@ authorities: /etc/robotkube/authorities/ca.crt
 {{ toJson $namespaces }}
 {{- end }}
 
-{{- /* Runs mosquitto, and has it read certificate and key again when the kubelet has brought new ones. A shell's child, so the pod needs
-       neither another container nor one that sees the processes of this one. */ -}}
-{{- define "robotkube.brokerProgram" -}}
-read=/run/mosquitto/certificate-read
+{{- /* Signals the program that will follow in the same shell when the kubelet has brought another certificate. A shell's child, so the
+       pod needs neither another container nor one that sees the processes of this one. Arguments: {folder, run, signal}. */ -}}
+{{- define "robotkube.certificateWatch" -}}
+read={{ .run }}/certificate-read
 : > "$read"
 (
   while sleep 5 && kill -0 $$; do
-    if [ /etc/mosquitto-tls/tls.crt -nt "$read" ]; then
+    if [ {{ .folder }}/tls.crt -nt "$read" ]; then
       : > "$read"
-      kill -HUP $$
+      kill -{{ .signal }} $$
     fi
   done
 ) &
+{{- end }}
+
+{{- /* Runs mosquitto, which reads certificate and key again on SIGHUP. */ -}}
+{{- define "robotkube.brokerProgram" -}}
+{{ include "robotkube.certificateWatch" (dict "folder" "/etc/mosquitto-tls" "run" "/run/mosquitto" "signal" "HUP") }}
 exec mosquitto -c /etc/mosquitto/mosquitto.conf
+{{- end }}
+
+{{- /* Runs mongod, which reads certificate and key, in one file, at its start alone: a renewed one ends it, and the kubelet starts it again. */ -}}
+{{- define "robotkube.databaseProgram" -}}
+{{- $folder := "/etc/database-tls" -}}
+{{ include "robotkube.certificateWatch" (dict "folder" $folder "run" "/run/database" "signal" "TERM") }}
+umask 077
+cat {{ $folder }}/tls.crt {{ $folder }}/tls.key > /run/database/tls.pem
+exec docker-entrypoint.sh mongod "$@"
+{{- end }}
+
+{{- /* Where and how the database listens, as arguments of its command. FerretDB reads a renewed certificate by itself. JSON. */ -}}
+{{- define "robotkube.databaseListeners" -}}
+{{- $encrypted := include "robotkube.databaseEncrypted" . }}
+{{- $plain := include "robotkube.databasePlain" . }}
+{{- $arguments := list }}
+{{- if eq .Values.database.kind "ferretdb" }}
+{{- $arguments = append $arguments (printf "--listen-addr=%s" ($plain | eq "true" | ternary ":27017" "")) }}
+{{- if $encrypted }}
+{{- $arguments = concat $arguments (list "--listen-tls=:27018" "--listen-tls-cert-file=/etc/database-tls/tls.crt" "--listen-tls-key-file=/etc/database-tls/tls.key") }}
+{{- end }}
+{{- else if $encrypted }}
+{{- $mode := $plain | eq "true" | ternary "preferTLS" "requireTLS" }}
+{{- $arguments = list "--port=27018" (printf "--tlsMode=%s" $mode) "--tlsCertificateKeyFile=/run/database/tls.pem" "--tlsCAFile=/etc/robotkube/authorities/ca.crt" "--tlsAllowConnectionsWithoutCertificates" }}
+{{- end }}
+{{- toJson $arguments }}
 {{- end }}
 
 {{- /* The values of the process `certificates`, also when an upgrade reuses values from before there were any. */ -}}
@@ -105,7 +166,10 @@ listen: {address: 0.0.0.0, port: 8081}
 log_level: {{ .Values.logLevel }}
 namespace: {{ .Release.Namespace }}
 authority: {secret: tls-authority}
-certificate: {secret: broker-tls, names: {{ include "robotkube.brokerNames" . }}, life_seconds: {{ mul (int $tls.hours) 3600 }}}
+certificates:
+{{- range $component, $names := include "robotkube.certified" . | fromJson }}
+- {secret: {{ $component }}-tls, names: {{ toJson $names }}, life_seconds: {{ mul (int $tls.hours) 3600 }}}
+{{- end }}
 trusted: {config_map: robotkube-ca, namespaces: {{ include "robotkube.connecting" . }}}
 {{- end }}
 
@@ -130,11 +194,22 @@ trusted: {config_map: robotkube-ca, namespaces: {{ include "robotkube.connecting
 {{- if and (eq $tls.mode "provided") (not $external) (not $tls.provided.secret) }}
 {{ print "tls.mode is provided, but tls.provided.secret is empty. Name the Secret in the platform's namespace that has the broker's tls.crt and tls.key." }}
 {{- end }}
+{{- if and (eq $tls.mode "provided") (ne .Values.database.kind "external") (not $tls.provided.database) }}
+{{ printf "tls.mode is provided, but tls.provided.database is empty. Name the Secret in the platform's namespace that has the database's tls.crt and tls.key, for the name %s; it may be tls.provided.secret, if that certificate is for this name too." (include "robotkube.databaseHost" .) }}
+{{- end }}
+{{- if and $tls.provided.database (or (ne $tls.mode "provided") (eq .Values.database.kind "external")) }}
+{{ printf "tls.provided.database is given, but tls.mode is %s and database.kind %s: nobody mounts it. Leave it out, or set the mode to provided." $tls.mode .Values.database.kind }}
+{{- end }}
+{{- if and .Values.database.external.tls (ne .Values.database.kind "external") }}
+{{ printf "database.external.tls is true, but database.kind is %s. Leave it out: tls.mode says how the platform's own database proves who it is." .Values.database.kind }}
+{{- else if and .Values.database.external.tls (not $tls.authorities) }}
+{{ print "database.external.tls is true, but tls.authorities is empty: nobody could verify the database. Set tls.mode: provided and put the PEM of its authority there, beside that of the broker's." }}
+{{- end }}
 {{- if and (ne $tls.mode "provided") $tls.provided.secret }}
 {{ printf "tls.provided.secret is given, but tls.mode is %s. Set the mode to provided, or leave the Secret out." $tls.mode }}
 {{- end }}
 {{- if and (eq $tls.mode "cert-manager") (not $tls.issuer.name) }}
-{{ print "tls.mode is cert-manager, but tls.issuer.name is empty. Name the Issuer that signs the broker's certificate." }}
+{{ print "tls.mode is cert-manager, but tls.issuer.name is empty. Name the Issuer that signs the certificates." }}
 {{- end }}
 {{- if and (ne $tls.mode "cert-manager") $tls.issuer.name }}
 {{ printf "tls.issuer.name is given, but tls.mode is %s. Set the mode to cert-manager, or leave the name out." $tls.mode }}

@@ -1,7 +1,7 @@
 """Build FerretDB, the MongoDB-protocol server of the embedded profile, with accounts and roles.
 
 Why it is built from a copy: the module archive has an empty version folder, so its command does not start, and its
-accounts have no roles. What is changed is overlay/ (two files) and patches/ (six small ones);
+accounts have no roles. What is changed is overlay/ (two files) and patches/ (seven small ones);
 docs/decisions/0003-database-of-the-embedded-profile.md says why. Inputs are the files of this folder and the Go
 tool chain: go.mod and go.sum here pin every dependency, MODULE_SUM the server itself.
 """

@@ -22,6 +22,7 @@ SECONDS = 120
 MINUTES = 20  # when each series is looked at; a sample every 30 s
 CALM = "0x60"
 QUARTER = 2160 * 3600 // 4
+CERTIFICATE = 'robotkube_certificates_expiry_timestamp_seconds{secret="%s"}'
 
 
 @dataclass(frozen=True)
@@ -83,8 +84,8 @@ CASES = {
     ),
     "RobotKubeRightsBehind": Case({"robotkube_rights_behind": "1x60"}, {"robotkube_rights_behind": "1x10 0x50"}),
     "RobotKubeCertificateEnds": Case(
-        {"robotkube_certificates_expiry_timestamp_seconds": f"{QUARTER - 60}x60"},
-        {"robotkube_certificates_expiry_timestamp_seconds": f"{QUARTER + 3600}x60"},
+        {CERTIFICATE % "database-tls": f"{QUARTER - 60}x60", CERTIFICATE % "broker-tls": f"{QUARTER + 3600}x60"},
+        {CERTIFICATE % "database-tls": f"{QUARTER + 3600}x60"},
     ),
     "RobotKubeBridgeOffline": Case(
         {CHANNEL % "telemetry": CALM, CHANNEL % "bulk": CALM}, {CHANNEL % "telemetry": "1x60", CHANNEL % "bulk": CALM}
@@ -102,7 +103,7 @@ CASES = {
         {'robotkube_detector_reaction_dead_total{namespace="cloud-0",pod="detector",reaction="store"}': "2x60"},
     ),
 }
-AN_HOUR = {"robotkube_certificates_expiry_timestamp_seconds": "0x60"}  # before the first look
+AN_HOUR = {CERTIFICATE % "broker-tls": "0x60"}  # before the first look
 
 
 @pytest.fixture(scope="module")

@@ -36,7 +36,7 @@ pytestmark = pytest.mark.toolchain
 PROFILE = Path(__file__).parent / "profiles" / "official.yaml"
 ACCOUNT = "system:serviceaccount:robotkube:certificates"
 AGENTS = ("vehicle-00", "vehicle-01", "cloud-0")
-NAME = "broker.robotkube.svc.cluster.local"
+SERVERS = ("broker", "database")
 
 
 @dataclass
@@ -74,7 +74,7 @@ class Installed:
 
     def empty(self) -> None:
         """As the chart made them."""
-        for path in ("secrets/tls-authority", "secrets/broker-tls"):
+        for path in ("secrets/tls-authority", *(f"secrets/{server}-tls" for server in SERVERS)):
             merge = {"Content-Type": "application/merge-patch+json"}
             body = '{"data": null}'
             self.administrator.patch(f"/api/v1/namespaces/robotkube/{path}", content=body, headers=merge)
@@ -106,14 +106,17 @@ def stage(installed: Installed) -> Installed:
     return installed
 
 
-def test_the_broker_has_a_certificate_that_every_agent_verifies(stage: Installed, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", SERVERS)
+def test_each_server_has_a_certificate_that_every_agent_verifies(stage: Installed, tmp_path: Path, name: str) -> None:
     stage.kept()
     [authority] = stage.trusted()
     assert authority == stage.secret("tls-authority")["tls.crt"]
     (tmp_path / "ca.crt").write_text(authority)
-    shown = stage.secret("broker-tls")
+    shown = stage.secret(f"{name}-tls")
     server = server_context(tmp_path / "server", Pair(shown["tls.crt"], shown["tls.key"]))
-    assert handshake(server, ServerVerification(tmp_path / "ca.crt", NAME)) == "TLSv1.3"
+    assert (
+        handshake(server, ServerVerification(tmp_path / "ca.crt", f"{name}.robotkube.svc.cluster.local")) == "TLSv1.3"
+    )
     assert not any("PRIVATE" in text for text in stage.trusted())
 
 
@@ -126,7 +129,7 @@ def test_upgrades_and_restarts_keep_both_and_a_renewal_the_authority(stage: Inst
         stage.kept()
         assert (stage.secret("tls-authority"), stage.secret("broker-tls")) == (authority, shown)
         assert stage.trusted() == {authority["tls.crt"]}
-    stage.now = 2 / 3 * stage.issuance.seconds
+    stage.now = 2 / 3 * stage.issuance.certificates[0].seconds
     stage.kept()
     assert stage.secret("broker-tls") != shown
     assert stage.secret("tls-authority") == authority
@@ -136,7 +139,7 @@ def test_no_key_stands_in_a_release_of_helms_or_in_another_secret(stage: Install
     stage.kept()
     stage.cluster.helm("upgrade", "robotkube", str(CHART), "-f", str(PROFILE), "--no-hooks")
     items = stage.administrator.get("/api/v1/secrets").raise_for_status().json()["items"]
-    for name in ("tls-authority", "broker-tls"):
+    for name in ("tls-authority", *(f"{server}-tls" for server in SERVERS)):
         body = stage.secret(name)["tls.key"].splitlines()[1]
         assert [item["metadata"]["name"] for item in items if body in words(item)] == [name]
 

@@ -27,7 +27,7 @@ PLATFORM = CHARTS / "robotkube"
 PROFILES = Path(__file__).parent / "profiles"
 PAGE = REPOSITORY / "docs" / "reference" / "network.md"
 EDGE = re.compile(r"^\| (`.*`) \| `([a-z-]+)` \| (?:TCP (\d+)[^|]*|[^|]+) \|", re.MULTILINE)
-PORTS = (53, 80, 443, 1883, 3000, 6379, 6443, 7000, 7400, 8080, 8081, 8083, 8883, 10250, 22, 27017)
+PORTS = (53, 80, 443, 1883, 3000, 6379, 6443, 7000, 7400, 8080, 8081, 8083, 8883, 10250, 22, 27017, 27018)
 ASKED = [*(("TCP", port) for port in PORTS), ("UDP", 53), ("UDP", 7400), ("UDP", 8080)]
 AT = {"name-service": [("TCP", 53), ("UDP", 53)], "api-server": [("TCP", 6443)], "kubelets": [("TCP", 10250)]}
 
@@ -228,7 +228,7 @@ def test_what_a_vehicle_and_a_chart_under_test_reach(
 
     host = {("host", "TCP", 53), ("host", "UDP", 53), ("host", "TCP", 6443)}
     multicast = {("group", "UDP", port) for port in (53, 7400, 8080)}
-    broker, database = ("robotkube/broker", "TCP", 8883), ("robotkube/database", "TCP", 27017)
+    broker, database = ("robotkube/broker", "TCP", 8883), ("robotkube/database", "TCP", 27018)
     assert whom("vehicle-00/mqtt-bridge") == {*host, *multicast, broker}
     assert whom("cloud-0/event-detector") == {*host, *multicast, broker, database}
     assert whom("robotkube-suite-0/subject") == {*multicast, ("host", "TCP", 6443)}

@@ -239,7 +239,7 @@ def test_no_right_reaches_pods_for_writing_or_secrets_for_listing(platform: Any)
             elif "secrets" in rule["resources"] and role["metadata"].get("namespace") == "robotkube-gate":
                 assert rule["verbs"] == ["create"]
             elif "secrets" in rule["resources"] and role["metadata"]["name"] == "certificates":
-                assert rule["resourceNames"] == ["tls-authority", "broker-tls"]
+                assert rule["resourceNames"] == ["tls-authority", "broker-tls", "database-tls"]
                 assert rule["verbs"] == ["get", "patch"]
             elif "secrets" in rule["resources"]:
                 assert rule["resourceNames"] == ["argocd-secret"]
@@ -351,6 +351,7 @@ def test_what_must_stay_is_kept(official: Any) -> None:
         ("Secret", None, "robotkube-seed"),
         ("Secret", None, "tls-authority"),
         ("Secret", None, "broker-tls"),
+        ("Secret", None, "database-tls"),
         ("Namespace", None, "robotkube-gate"),
         ("Lease", None, "robotkube-manager-manager"),
         ("PersistentVolumeClaim", "robotkube-suite-0", "scratch"),

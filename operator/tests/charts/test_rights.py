@@ -92,6 +92,7 @@ GENERATING = {
 POLICIES = [f"validatingadmission{kind}.admissionregistration.k8s.io" for kind in ("policies", "policybindings")]
 PUBLISHING = {"configmaps": "create", "configmaps gate-public-key": "get patch"}
 TRUSTED = {"configmaps robotkube-ca": "get patch"}
+CERTIFICATES = [f"secrets {name}" for name in ("tls-authority", "broker-tls", "database-tls")]
 AGENTS = ("vehicle-00", "vehicle-01", "cloud-0")
 NAMESPACES = ("robotkube", "robotkube-gate", "argocd", "default", *AGENTS, "robotkube-suite-0")
 # account -> namespace -> what it may do there; what it may do everywhere stands under "*"
@@ -139,7 +140,7 @@ EXACTLY: dict[str, dict[str, Rights]] = {
     },
     "robotkube:certificates": {
         **dict.fromkeys(AGENTS, TRUSTED),
-        "robotkube": {**TRUSTED, **{f"secrets {name}": "get patch" for name in ("tls-authority", "broker-tls")}},
+        "robotkube": {**TRUSTED, **dict.fromkeys(CERTIFICATES, "get patch")},
     },
     "robotkube:default": {},
     "robotkube:suite-runner": {"*": {"nodes/stats": "get"}, "robotkube-suite-0": ROOM},

@@ -1,5 +1,5 @@
-"""Who makes the broker's certificate: what the chart renders for each `tls.mode`, compared with a kept rendering for
-cert-manager, which does not run here."""
+"""Who makes the certificates of broker and database: what the chart renders for each `tls.mode`, compared with a kept
+rendering for cert-manager, which does not run here."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
-from robotkube.delivery.certificates.settings import read_configuration
+from robotkube.delivery.certificates.settings import FORMER_KEYS, read_configuration
 from robotkube.foundation.runtime.settings_file import read_settings
 from tests.stages.paths import CHARTS
 from tests.stages.settings_mounted import mounted
@@ -23,6 +23,8 @@ OFFICIAL = PROFILES / "official.yaml"
 AUTHORITY = "-----BEGIN CERTIFICATE-----\nMIIB\n-----END CERTIFICATE-----\n"
 AGENTS = ("vehicle-00", "vehicle-01", "cloud-0")
 OURS = {"Deployment/certificates", "ConfigMap/certificates", "Role/certificates", "Secret/tls-authority"}
+EMBEDDED = (PLATFORM / "values-embedded.yaml", PROFILES / "embedded.yaml")
+KINDS = {"mongo": (OFFICIAL,), "ferretdb": EMBEDDED}
 
 
 def names(rendered: Any) -> set[str]:
@@ -48,11 +50,33 @@ def accounts(rendered: Any) -> set[tuple[str, str]]:
     return {(secret["port"], secret["tls"]) for secret in secrets if secret["host"].startswith(("broker.", "mqtt."))}
 
 
-def reached(rendered: Any) -> set[int]:
-    """The ports at which policies let agents reach the broker."""
-    policy = rendered.one("NetworkPolicy", "application", "vehicle-00")
-    rules = [rule for rule in policy["spec"]["egress"] if "broker" in str(rule.get("to"))]
-    return {port["port"] for rule in rules for port in rule["ports"]}
+def reached(rendered: Any, whom: str = "broker", agent: str = "vehicle-00") -> set[int]:
+    """The ports at which policies let pods of an agent reach the broker."""
+    policies = [one for one in rendered.of_kind("NetworkPolicy") if one["metadata"]["namespace"] == agent]
+    egress = [rule for policy in policies for rule in policy["spec"].get("egress", ())]
+    return {port["port"] for rule in egress if whom in str(rule.get("to")) for port in rule["ports"]}
+
+
+def database_listens(rendered: Any) -> tuple[set[int], dict[int, str]]:
+    """The database's ports in its pod, each of which its arguments name, and those of its Service with their targets.
+    The probes ask the first one."""
+    [container] = dict(rendered.pods)["StatefulSet/database"]["containers"]
+    opened = {port["name"]: port["containerPort"] for port in container["ports"]}
+    arguments = " ".join(container.get("args", ["27017"]))
+    assert all(str(port) in arguments for port in opened.values())
+    probes = {container[probe]["tcpSocket"]["port"] for probe in container if probe.endswith("Probe")}
+    assert probes == {container["ports"][0]["name"]}
+    service = rendered.one("Service", "database")["spec"]["ports"]
+    return set(opened.values()), {port["port"]: opened[port["targetPort"]] for port in service}
+
+
+def database_account(rendered: Any) -> tuple[str, str]:
+    """Port and `tls` of the recorder's account; the bootstrap Job goes the same way."""
+    account = rendered.one("Secret", "database-account", "cloud-0")["stringData"]
+    settings = yaml.safe_load(rendered.one("ConfigMap", "bootstrap")["data"]["config.yaml"])["database"]
+    assert (settings["port"], settings["host"]) == (int(account["port"]), account["host"])
+    assert ("authorities" in settings) == (account["tls"] == "required")
+    return account["port"], account["tls"]
 
 
 def trusted(rendered: Any) -> set[str]:
@@ -67,7 +91,7 @@ def test_by_itself_the_platform_makes_certificates_and_nobody_speaks_in_clear_te
     assert trusted(official) == {""}
     assert "1883" not in official.one("ConfigMap", "broker")["data"]["mosquitto.conf"].replace("8883", "")
     assert "PRIVATE KEY" not in official.text
-    for name in ("tls-authority", "broker-tls"):
+    for name in ("tls-authority", "broker-tls", "database-tls"):
         assert not {"data", "stringData"} & set(official.one("Secret", name))
 
 
@@ -86,8 +110,21 @@ def test_the_process_reads_the_settings_that_the_chart_writes(official: Any, tmp
     issuance = read_settings(mounted(official, "certificates", tmp_path), read_configuration).issuance
     assert (issuance.platform, issuance.namespaces) == ("robotkube", ("robotkube", *AGENTS))
     host = official.one("Secret", "broker-account", "vehicle-00")["stringData"]["host"]
-    assert issuance.names[0] == host
-    assert issuance.seconds == 90 * 86_400
+    assert [one.secret for one in issuance.certificates] == ["broker-tls", "database-tls"]
+    assert issuance.certificates[0].names[0] == host
+    assert (
+        issuance.certificates[1].names[0] == official.one("Secret", "database-account", "cloud-0")["stringData"]["host"]
+    )
+    assert {one.seconds for one in issuance.certificates} == {90 * 86_400}
+
+
+def test_the_process_reads_the_settings_of_an_earlier_chart(official: Any, tmp_path: Path) -> None:
+    path = mounted(official, "certificates", tmp_path)
+    document = yaml.safe_load(path.read_text())
+    document["certificate"] = document.pop("certificates")[0]
+    path.write_text(yaml.safe_dump(document))
+    issuance = read_settings(path, read_configuration, FORMER_KEYS).issuance
+    assert [one.secret for one in issuance.certificates] == ["broker-tls"]
 
 
 def test_in_clear_text_as_well_where_a_value_asks_for_it(helm: Any) -> None:
@@ -106,28 +143,84 @@ def test_off_is_clear_text_alone(helm: Any) -> None:
 
 
 def test_a_provided_certificate_is_mounted_and_whoever_signed_it_told(helm: Any) -> None:
-    provided = {"mode": "provided", "provided": {"secret": "mine"}, "authorities": AUTHORITY}
+    provided = {"mode": "provided", "provided": {"secret": "mine", "database": "ours"}, "authorities": AUTHORITY}
     rendered = helm.template(PLATFORM, OFFICIAL, tls=provided)
-    assert not names(rendered) & {*OURS, "Secret/broker-tls", "Certificate/broker"}
-    [volume] = [v for v in dict(rendered.pods)["Deployment/broker"]["volumes"] if v["name"] == "certificate"]
-    assert volume["secret"]["secretName"] == "mine"
+    assert not names(rendered) & {*OURS, "Secret/broker-tls", "Secret/database-tls", "Certificate/broker"}
+    for workload, secret in (("Deployment/broker", "mine"), ("StatefulSet/database", "ours")):
+        [volume] = [v for v in dict(rendered.pods)[workload]["volumes"] if v["name"] == "certificate"]
+        assert volume["secret"]["secretName"] == secret
     assert (trusted(rendered), ports(rendered)) == ({AUTHORITY}, [8883])
 
 
 def test_a_broker_of_somebody_else_is_verified_by_the_authorities_that_are_given(helm: Any) -> None:
     external = {"kind": "external", "external": {"host": "mqtt.example", "port": 8884}}
-    rendered = helm.template(PLATFORM, OFFICIAL, broker=external, tls={"mode": "provided", "authorities": AUTHORITY})
+    database = {"kind": "external", "external": {"host": "mongo.example", "port": 27019, "tls": True}}
+    provided = {"mode": "provided", "authorities": AUTHORITY}
+    rendered = helm.template(PLATFORM, OFFICIAL, broker=external, database=database, tls=provided)
     assert accounts(rendered) == {("8884", "required")}
     assert trusted(rendered) == {AUTHORITY}
+    account = rendered.one("Secret", "database-account", "cloud-0")["stringData"]
+    assert (account["host"], account["port"], account["tls"]) == ("mongo.example", "27019", "required")
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_database_speaks_tls_alone_and_waits_for_its_certificate(helm: Any, kind: str) -> None:
+    rendered = helm.template(PLATFORM, *KINDS[kind])
+    assert database_listens(rendered) == ({27018}, {27018: 27018})
+    assert (database_account(rendered), reached(rendered, "database", "cloud-0")) == (("27018", "required"), {27018})
+    pod = dict(rendered.pods)["StatefulSet/database"]
+    [volume] = [one for one in pod["volumes"] if one["name"] == "certificate"]
+    assert volume["secret"]["secretName"] == "database-tls"
+    assert [item["key"] for item in volume["secret"]["items"]] == ["tls.crt", "tls.key"]
+    mounts = {one["mountPath"] for one in pod["containers"][0]["volumeMounts"]}
+    named = [
+        word.rpartition("=")[2] for word in pod["containers"][0]["args"] if word.startswith(("--listen-tls-", "--tlsC"))
+    ]
+    assert named
+    assert [name for name in named if name.rpartition("/")[0] not in mounts] == []
+    assert ("command" in pod["containers"][0]) == (kind == "mongo")  # FerretDB reads a renewed one by itself
+
+
+@pytest.mark.parametrize(("kind", "targets"), [("mongo", {27018}), ("ferretdb", {27017, 27018})])
+def test_the_database_speaks_clear_text_as_well_where_a_value_asks_for_it(
+    helm: Any, kind: str, targets: set[int]
+) -> None:
+    rendered = helm.template(PLATFORM, *KINDS[kind], tls={"plain": True})
+    opened, service = database_listens(rendered)
+    assert (opened, set(service), set(service.values())) == (targets, {27017, 27018}, targets)
+    assert database_account(rendered) == ("27018", "required")
+    assert reached(rendered, "database", "cloud-0") == {27017, 27018}
+
+
+def test_policies_follow_the_database_also_where_the_broker_is_somebody_elses(helm: Any) -> None:
+    external = {"kind": "external", "external": {"host": "mqtt.example", "port": 1883}}
+    off = helm.template(PLATFORM, OFFICIAL, broker=external, tls={"mode": "off"})
+    assert reached(off, "database", "cloud-0") == {27017}
+    [rule] = [
+        rule
+        for rule in off.one("NetworkPolicy", "suite-runner", "robotkube")["spec"]["egress"]
+        if "robotkube.io/suite" in str(rule.get("to"))
+    ]
+    assert [port["port"] for port in rule["ports"]] == [27017]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_off_is_a_database_in_clear_text_as_before(helm: Any, kind: str) -> None:
+    off = helm.template(PLATFORM, *KINDS[kind], tls={"mode": "off"})
+    assert database_listens(off) == ({27017}, {27017: 27017})
+    assert (database_account(off), reached(off, "database", "cloud-0")) == (("27017", "off"), {27017})
+    assert not names(off) & {"Secret/database-tls", "ConfigMap/database"}
 
 
 def test_what_cert_manager_is_asked_for(helm: Any, golden: Callable[[str, str], None]) -> None:
     rendered = helm.template(PLATFORM, OFFICIAL, PROFILES / "cert-manager.yaml")
     assert not names(rendered) & OURS
-    certificate = rendered.one("Certificate", "broker")
-    [volume] = [v for v in dict(rendered.pods)["Deployment/broker"]["volumes"] if v["name"] == "certificate"]
-    assert volume["secret"]["secretName"] == certificate["spec"]["secretName"]
-    text = yaml.safe_dump_all([certificate, rendered.one("ConfigMap", "robotkube-ca", "vehicle-00")], sort_keys=False)
+    asked = {one["metadata"]["name"]: one for one in rendered.of_kind("Certificate")}
+    for name, workload in (("broker", "Deployment/broker"), ("database", "StatefulSet/database")):
+        [volume] = [v for v in dict(rendered.pods)[workload]["volumes"] if v["name"] == "certificate"]
+        assert volume["secret"]["secretName"] == asked[name]["spec"]["secretName"]
+    kept = [*asked.values(), rendered.one("ConfigMap", "robotkube-ca", "vehicle-00")]
+    text = yaml.safe_dump_all(kept, sort_keys=False)
     golden("cert-manager", text)
 
 
@@ -139,16 +232,19 @@ def test_an_upgrade_that_reuses_values_of_before_has_certificates_made(helm: Any
 
 
 @pytest.mark.parametrize(
-    ("place", "chart"), [("apps", "mqtt-bridge"), ("apps", "event-detector"), ("earlier", "mqtt-bridge")]
+    ("place", "chart"),
+    [("apps", "mqtt-bridge"), ("apps", "event-detector"), ("earlier", "mqtt-bridge"), ("earlier", "event-detector")],
 )
 def test_charts_mount_the_account_and_whom_to_trust_into_one_folder(helm: Any, place: str, chart: str) -> None:
     profile = PROFILES / ("earlier" if place == "earlier" else "") / f"{chart}.yaml"
-    rendered = helm.template(
-        CHARTS / place / chart, profile, release=chart, broker={"existingSecret": "broker-account"}
-    )
+    named = {"broker": (place, chart) != ("earlier", "event-detector"), "database": chart == "event-detector"}
+    accounts = {name: f"{name}-account" for name, mounted in named.items() if mounted}
+    given = {name: {"existingSecret": account} for name, account in accounts.items()}
+    rendered = helm.template(CHARTS / place / chart, profile, release=chart, **given)
     [(_, pod)] = rendered.pods
-    [volume] = [one for one in pod["volumes"] if one["name"] == "broker"]
-    secret, authorities = volume["projected"]["sources"]
-    assert secret == {"secret": {"name": "broker-account"}}
-    assert authorities["configMap"]["optional"] is True
-    assert authorities["configMap"]["items"] == [{"key": "ca.crt", "path": "ca.crt"}]
+    for name, account in accounts.items():
+        [volume] = [one for one in pod["volumes"] if one["name"] == name]
+        secret, authorities = volume["projected"]["sources"]
+        assert secret == {"secret": {"name": account}}
+        assert authorities["configMap"]["optional"] is True
+        assert authorities["configMap"]["items"] == [{"key": "ca.crt", "path": "ca.crt"}]

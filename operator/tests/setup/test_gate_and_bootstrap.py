@@ -14,6 +14,7 @@ import pytest
 from kubernetes import client
 from pymongo.errors import OperationFailure
 
+from robotkube.foundation.certificates.adapters.issuing import throw_away
 from tests.stages import http_calls
 from tests.stages.forge.gate_process import (
     PROCESS_SECONDS_MAX,
@@ -39,6 +40,7 @@ from tests.stages.programs import free_port, program
 from tests.stages.recording.database_server import SETUP_PASSWORD, SETUP_USER, DatabaseServer
 from tests.stages.waiting import until
 
+ADDRESS = "127.0.0.1"
 pytestmark = [pytest.mark.toolchain, pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")]
 
 
@@ -119,7 +121,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BootstrapStage]:
     folder = tmp_path_factory.mktemp("world")
     (folder / "api").mkdir()
     forge, api = ForgeProcess(folder / "forge"), ApiServerProcess(folder / "api")
-    database = DatabaseServer(folder / "database")
+    database = DatabaseServer(folder / "database", issued=throw_away(ADDRESS), name=ADDRESS)
     try:
         database.start()
         forge.start()
@@ -182,8 +184,9 @@ def bootstrap_settings(world: BootstrapStage, folder: Path, passwords: dict[str,
         },
         "database": {
             "kind": "ferretdb",
-            "host": "127.0.0.1",
+            "host": ADDRESS,
             "port": world.database.port,
+            "authorities": str(world.database.folder / "ca.crt"),
             "administrator": account_folder(folder, "database-administrator", SETUP_USER, SETUP_PASSWORD),
             "accounts": [
                 {

@@ -6,6 +6,7 @@ from typing import Any
 
 EXTERNAL = {"kind": "external", "external": {"host": "mqtt.example", "port": 8883}}
 AUTHORITY = "-----BEGIN CERTIFICATE-----\nMIIB\n-----END CERTIFICATE-----\n"
+PROVIDED = {"secret": "mine", "database": "mine"}
 
 TLS_REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
     "certificates made for a broker of somebody else": (
@@ -17,7 +18,7 @@ TLS_REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
         "tls.plain is true, but broker.kind is external: its listeners are its owner's. Leave it out;",
     ),
     "nobody to trust": (
-        {"tls": {"mode": "provided", "provided": {"secret": "mine"}}},
+        {"tls": {"mode": "provided", "provided": PROVIDED}},
         "tls.mode is provided, but tls.authorities is empty: nobody could verify the broker. Put the PEM",
     ),
     "nobody to trust an Issuer": (
@@ -28,14 +29,14 @@ TLS_REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
         {
             "tls": {
                 "mode": "provided",
-                "provided": {"secret": "mine"},
+                "provided": PROVIDED,
                 "authorities": f"{AUTHORITY}-----BEGIN PRIVATE KEY-----",
             }
         },
         "tls.authorities: holds a private key; it would stand in ConfigMaps that every agent reads.",
     ),
     "an authority that is no PEM": (
-        {"tls": {"mode": "provided", "provided": {"secret": "mine"}, "authorities": "ours"}},
+        {"tls": {"mode": "provided", "provided": PROVIDED, "authorities": "ours"}},
         "tls.authorities: must be PEM that begins with -----BEGIN CERTIFICATE-----",
     ),
     "authorities that nobody asks for": (
@@ -43,12 +44,28 @@ TLS_REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
         "tls.authorities is given, but tls.mode is made: nobody would trust them. Set the mode to provided or",
     ),
     "a provided certificate without a Secret": (
-        {"tls": {"mode": "provided", "authorities": AUTHORITY}},
+        {"tls": {"mode": "provided", "provided": {"database": "mine"}, "authorities": AUTHORITY}},
         "tls.mode is provided, but tls.provided.secret is empty. Name the Secret",
     ),
     "a Secret that nobody mounts": (
         {"tls": {"provided": {"secret": "mine"}}},
         "tls.provided.secret is given, but tls.mode is made. Set the mode to provided, or leave the Secret out.",
+    ),
+    "a provided certificate of the broker alone": (
+        {"tls": {"mode": "provided", "provided": {"secret": "mine"}, "authorities": AUTHORITY}},
+        "tls.mode is provided, but tls.provided.database is empty. Name the Secret in the platform's namespace that",
+    ),
+    "a Secret of the database that nobody mounts": (
+        {"tls": {"provided": {"database": "mine"}}},
+        "tls.provided.database is given, but tls.mode is made and database.kind mongo: nobody mounts it. Leave it out",
+    ),
+    "TLS of somebody else's database that is here": (
+        {"database": {"external": {"tls": True}}},
+        "database.external.tls is true, but database.kind is mongo. Leave it out: tls.mode says",
+    ),
+    "TLS of a database that nobody could verify": (
+        {"database": {"kind": "external", "external": {"host": "mongo.example", "tls": True}}},
+        "database.external.tls is true, but tls.authorities is empty: nobody could verify the database. Set",
     ),
     "an Issuer without a name": (
         {"tls": {"mode": "cert-manager", "authorities": AUTHORITY}},

@@ -143,16 +143,15 @@ volumes:
     - serviceAccountToken: {path: token, expirationSeconds: 3607}
     - configMap: {name: kube-root-ca.crt, items: [{key: ca.crt, path: ca.crt}]}
     - downwardAPI: {items: [{path: namespace, fieldRef: {fieldPath: metadata.namespace}}]}
-{{- with .broker }}
-- name: broker                        # the account, and who may have signed the broker's certificate, where it has one
+{{- range $name, $account := dict "broker" .broker "database" .database }}
+{{- with $account }}
+- name: {{ $name }}                        # the account, and who may have signed the certificate of what it is for, where that has one
   projected:
     defaultMode: 0440
     sources:
     - secret: {name: {{ . | quote }}}
     - configMap: {name: robotkube-ca, optional: true, items: [{key: ca.crt, path: ca.crt}]}
 {{- end }}
-{{- with .database }}
-- {name: database, secret: {secretName: {{ . | quote }}, defaultMode: 0440}}
 {{- end }}
 {{- with .webhooks }}
 - {name: webhooks, secret: {secretName: {{ . | quote }}, defaultMode: 0440}}

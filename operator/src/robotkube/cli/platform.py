@@ -31,6 +31,7 @@ SUITE_RUNNER, SETTINGS_KEY = "suite-runner", "config.yaml"
 RIGHTS = "rights"
 IMAGES_KEY, SERVICES_KEY = "images.yaml", "services.yaml"
 DATABASE_ACCOUNT = "database-account"
+AUTHORITIES = "robotkube-ca"
 AGENT_LABEL = "robotkube.io/agent"
 GATE_SELECTOR = "app.kubernetes.io/part-of=robotkube,app.kubernetes.io/component=gate"
 DETECTOR_SELECTOR = "app.kubernetes.io/name=event-detector"
@@ -165,6 +166,10 @@ class Platform:
         if not accounts:
             raise InputError(f"no Secret {DATABASE_ACCOUNT} of {agent or 'any agent'}; does it have `records: true`?")
         return accounts
+
+    def authorities(self) -> str:
+        """Who may have signed the certificates of broker and database, as PEM; empty when there is none."""
+        return str((self._config_map(AUTHORITIES).get("data") or {}).get("ca.crt", ""))
 
     def address(self, service: str) -> tuple[str, int]:
         """The ClusterIP and the first port of one of the platform's Services."""

@@ -17,6 +17,8 @@ from kubernetes import client
 from kubernetes import config as kubernetes_config
 
 from robotkube.errors import InputError
+from robotkube.foundation.certificates.adapters.verification import ServerVerification
+from robotkube.foundation.certificates.settings import read_server_verification
 from robotkube.foundation.database.adapters.accounts import MongoAccounts
 from robotkube.foundation.documents.core.former_keys import FormerKey
 from robotkube.foundation.documents.core.patterns import HTTP_URL, REPOSITORY, WORD
@@ -58,12 +60,13 @@ class ForgeConfiguration:
 
 @dataclass(frozen=True)
 class DatabaseConfiguration:
-    """The database and who administers it."""
+    """The database and who administers it. `tls`: how it proves who it is; None: connections are in clear text."""
 
     host: str
     port: int
     administrator: files.Credentials
     accounts: tuple[DatabaseAccount, ...]
+    tls: ServerVerification | None = None
 
 
 @dataclass(frozen=True)
@@ -121,14 +124,16 @@ def _hook_readers(reader: Reader, argocd: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def _database(reader: Reader, value: Any) -> DatabaseConfiguration:
-    values = reader.mapping(value, "database", ["kind", "host", "port", "administrator", "accounts"])
+    values = reader.mapping(value, "database", ["kind", "host", "port", "administrator", "accounts"], ["authorities"])
     if values.get("kind") not in DATABASE_KINDS:
         reader.problems.append(f"database.kind: must be one of {', '.join(DATABASE_KINDS)}")
+    host = reader.word(values.get("host"), "database.host", WORD)
     return DatabaseConfiguration(
-        host=reader.word(values.get("host"), "database.host", WORD),
+        host=host,
         port=_whole(reader, values.get("port"), "database.port", files.PORT_MAX),
         administrator=files.credentials(reader, values.get("administrator"), "database.administrator"),
         accounts=tuple(_database_account(reader, *item) for item in _items(reader, values, "database", "accounts")),
+        tls=read_server_verification(reader, values.get("authorities"), "database.authorities", host),
     )
 
 
@@ -249,7 +254,7 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     if configuration.database:
         settings = configuration.database
         account = settings.administrator
-        database = MongoAccounts(settings.host, settings.port, account.username, account.password)
+        database = MongoAccounts(settings.host, settings.port, account.username, account.password, settings.tls)
         bootstrap.database(settings.accounts, database)
     argocd = KubernetesArgoCDConfiguration(_api_client(environment), configuration.argocd_namespace)
     bootstrap.argocd(configuration.argocd, argocd)

@@ -54,7 +54,7 @@ def objects(api: Api) -> KubernetesCertificates:
 
 
 def test_what_the_chart_made_is_empty(objects: KubernetesCertificates) -> None:
-    assert (objects.authority(), objects.certificate(), objects.trusted("vehicle-00")) == (None, None, "")
+    assert (objects.authority(), objects.certificate("broker-tls"), objects.trusted("vehicle-00")) == (None, None, "")
 
 
 def test_an_authority_is_kept_only_in_the_secret_that_was_read(api: Api, objects: KubernetesCertificates) -> None:
@@ -75,12 +75,12 @@ def test_half_an_authority_is_not_overwritten(api: Api, objects: KubernetesCerti
 
 
 def test_a_certificate_and_its_key_are_written_at_once(api: Api, objects: KubernetesCertificates) -> None:
-    objects.put_certificate(Pair("c", "k"))
+    objects.put_certificate("broker-tls", Pair("c", "k"))
     assert api.patches[0][:2] == (f"{SECRETS}/broker-tls", {"stringData": {"tls.crt": "c", "tls.key": "k"}})
     api.objects[f"{SECRETS}/broker-tls"]["data"] = data(tls_crt="c", tls_key="k")
-    assert objects.certificate() == Pair("c", "k")
+    assert objects.certificate("broker-tls") == Pair("c", "k")
     api.objects[f"{SECRETS}/broker-tls"]["data"] = {"tls.crt": "no base64", "tls.key": "a"}
-    assert objects.certificate() is None
+    assert objects.certificate("broker-tls") is None
 
 
 def test_a_namespace_is_told_the_public_part(api: Api, objects: KubernetesCertificates) -> None:

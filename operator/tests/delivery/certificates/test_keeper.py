@@ -10,15 +10,15 @@ from dataclasses import replace
 
 import pytest
 
-from robotkube.delivery.certificates.core.issuance import Issuance
+from robotkube.delivery.certificates.core.issuance import Issuance, ServerCertificate
 from robotkube.delivery.certificates.loops.keeper import CertificateKeeper
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.certificates.core.lives import Life, Pair
 
 DAY = 86_400.0
-ISSUANCE = Issuance(
-    "robotkube", "tls-authority", "broker-tls", "robotkube-ca", ("robotkube", "vehicle-00"), ("broker",), 90 * DAY
-)
+BROKER = ServerCertificate("broker-tls", ("broker",), 90 * DAY)
+DATABASE = ServerCertificate("database-tls", ("database",), 30 * DAY)
+ISSUANCE = Issuance("robotkube", "tls-authority", "robotkube-ca", ("robotkube", "vehicle-00"), (BROKER,))
 
 
 class Objects:
@@ -26,7 +26,7 @@ class Objects:
 
     def __init__(self) -> None:
         self.kept: Pair | None = None
-        self.shown: Pair | None = None
+        self.shown: dict[str, Pair | None] = {}
         self.maps = {"robotkube": "", "vehicle-00": ""}
         self.away: set[str] = set()
         self.order: list[str] = []
@@ -39,13 +39,13 @@ class Objects:
         self._ask("keep_authority")
         self.kept = authority
 
-    def certificate(self) -> Pair | None:
+    def certificate(self, secret: str) -> Pair | None:
         self._ask("certificate")
-        return self.shown
+        return self.shown.get(secret)
 
-    def put_certificate(self, certificate: Pair) -> None:
+    def put_certificate(self, secret: str, certificate: Pair) -> None:
         self._ask("put_certificate")
-        self.shown = certificate
+        self.shown[secret] = certificate
 
     def trusted(self, namespace: str) -> str:
         self._ask("trusted")
@@ -96,9 +96,10 @@ class Stage:
         self.keeper = CertificateKeeper(self.objects, self.issuer, issuance, lambda: self.now)
         return self.keeper
 
-    def shown(self) -> Pair:
-        assert self.objects.shown is not None
-        return self.objects.shown
+    def shown(self, certificate: ServerCertificate = BROKER) -> Pair:
+        shown = self.objects.shown[certificate.secret]
+        assert shown is not None
+        return shown
 
 
 @pytest.fixture
@@ -118,7 +119,7 @@ def test_an_empty_platform_gets_an_authority_whom_everybody_trusts_before_the_br
 
 def test_another_process_keeps_what_is_there(stage: Stage) -> None:
     stage.keeper.step()
-    before = (stage.objects.kept, stage.objects.shown, dict(stage.objects.maps))
+    before = (stage.objects.kept, dict(stage.objects.shown), dict(stage.objects.maps))
     again = stage.another()
     again.step()
     assert (stage.objects.kept, stage.objects.shown, stage.objects.maps) == before
@@ -135,23 +136,41 @@ def test_the_brokers_certificate_is_renewed_at_two_thirds_by_the_same_authority(
     stage.keeper.step()
     assert stage.shown() != first
     assert stage.objects.maps["vehicle-00"] == "authority 0"
-    assert stage.keeper.life is not None
-    assert stage.keeper.life.end == 150 * DAY
+    assert stage.keeper.lives["broker-tls"].end == 150 * DAY
+
+
+def test_each_server_has_a_certificate_of_its_own_that_is_renewed_when_it_is_due(stage: Stage) -> None:
+    keeper = stage.another(replace(ISSUANCE, certificates=(BROKER, DATABASE)))
+    keeper.step()
+    broker, database = stage.shown(), stage.shown(DATABASE)
+    assert broker != database
+    assert {secret: life.names for secret, life in keeper.lives.items()} == {
+        "broker-tls": {"broker"}, "database-tls": {"database"},
+    }  # fmt: skip
+    stage.now = 20 * DAY
+    keeper.step()
+    assert (stage.shown(), keeper.issued) == (broker, 3)
+    assert stage.shown(DATABASE) != database
+    [expiry, *_] = keeper.metrics()
+    assert expiry.values == {("broker-tls",): 90 * DAY, ("database-tls",): 50 * DAY}
+    stage.now, stage.objects.away = 50 * DAY, {"certificate"}
+    keeper.step()
+    stage.objects.away, keeper.problem = set(), ""
+    assert keeper.reasons_not_ready() == ["the certificate in Secret database-tls has expired"]
 
 
 @pytest.mark.parametrize("shown", [None, Pair("garbage", "key")], ids=["lost", "unreadable"])
 def test_a_certificate_that_is_lost_or_no_certificate_is_made_anew(stage: Stage, shown: Pair | None) -> None:
     stage.keeper.step()
-    stage.objects.shown = shown
+    stage.objects.shown["broker-tls"] = shown
     stage.keeper.step()
     assert stage.shown().certificate.startswith("authority 0/")
 
 
 def test_other_names_are_another_certificate(stage: Stage) -> None:
     stage.keeper.step()
-    stage.another(replace(ISSUANCE, names=("broker", "mqtt.example"))).step()
-    assert stage.keeper.life is not None
-    assert stage.keeper.life.names == {"broker", "mqtt.example"}
+    stage.another(replace(ISSUANCE, certificates=(replace(BROKER, names=("broker", "mqtt.example")),))).step()
+    assert stage.keeper.lives["broker-tls"].names == {"broker", "mqtt.example"}
 
 
 def test_what_somebody_else_wrote_into_a_namespace_is_put_right(stage: Stage, caplog: pytest.LogCaptureFixture) -> None:
@@ -203,6 +222,6 @@ def test_a_certificate_that_is_over_is_no_state_to_be_ready_in(stage: Stage) -> 
     stage.keeper.step()
     stage.now = 90 * DAY
     assert stage.keeper.reasons_not_ready() == ["the certificate in Secret broker-tls has expired"]
-    values = {series.name: series.values[()] for series in stage.keeper.metrics()}
-    assert values["robotkube_certificates_expiry_timestamp_seconds"] == 90 * DAY
-    assert values["robotkube_certificates_issued_total"] == 1.0
+    values = {series.name: series.values for series in stage.keeper.metrics()}
+    assert values["robotkube_certificates_expiry_timestamp_seconds"] == {("broker-tls",): 90 * DAY}
+    assert values["robotkube_certificates_issued_total"] == {(): 1.0}

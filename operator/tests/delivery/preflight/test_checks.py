@@ -163,13 +163,14 @@ class TestRelease:
         assert runs(0).result == OK
 
     def test_robots_that_speak_clear_text(self) -> None:
-        def broker(*ports: int) -> ClusterFinding:
-            service = {"metadata": {"name": "broker"}, "spec": {"ports": [{"port": port} for port in ports]}}
+        def serves(name: str, *ports: int) -> ClusterFinding:
+            service = {"metadata": {"name": name}, "spec": {"ports": [{"port": port} for port in ports]}}
             return finding("release", release=self.DEPLOYED, namespace=PresentObjects((), [service]))
 
-        assert "tls.mode: 'off'" in said(broker(1883))
-        assert broker(8883).result == OK
-        assert broker(8883, 1883).result == OK
+        for name, encrypted, plain in (("broker", 8883, 1883), ("database", 27018, 27017)):
+            assert f"Connections to the {name} are encrypted" in said(serves(name, plain))
+            assert serves(name, encrypted).result == OK
+            assert serves(name, encrypted, plain).result == OK
 
 
 class TestStorage:

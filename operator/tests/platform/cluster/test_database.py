@@ -5,12 +5,14 @@ foundation/database/test_accounts.py."""
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pymongo
 import pytest
 from pymongo.errors import OperationFailure
 
+from robotkube.foundation.database.adapters.encryption import encrypt
 from tests.stages.platform.running_platform import Platform
 
 UNAUTHORIZED = 13
@@ -21,16 +23,19 @@ Client = pymongo.MongoClient[dict[str, Any]]
 class Accounts:
     """Clients of the cluster's database by account."""
 
-    def __init__(self, platform: Platform) -> None:
+    def __init__(self, platform: Platform, folder: Path) -> None:
         self.own = platform.access.secret("cloud-0", "database-account")
-        self._where = platform.access.endpoint("database")
+        self._login = platform.access.database_account("cloud-0", folder)
         self._clients: list[Client] = []
 
     def client(self, **account: str) -> Client:
         """A client as the given account, or as nobody."""
-        where = (self._where.host, self._where.port)
-        self._clients.append(Client(*where, serverSelectionTimeoutMS=ANSWER_MILLISECONDS_MAX, **account))
-        return self._clients[-1]
+        where = (self._login.host, self._login.port)
+        client = Client(*where, serverSelectionTimeoutMS=ANSWER_MILLISECONDS_MAX, connect=False, **account)
+        assert self._login.tls is not None
+        encrypt(client, self._login.tls)
+        self._clients.append(client)
+        return client
 
     def recorder(self, **changes: str) -> Client:
         """The recorder's account of cloud-0, with changes."""
@@ -44,8 +49,8 @@ class Accounts:
 
 
 @pytest.fixture
-def accounts(platform: Platform) -> Iterator[Accounts]:
-    found = Accounts(platform)
+def accounts(platform: Platform, tmp_path: Path) -> Iterator[Accounts]:
+    found = Accounts(platform, tmp_path)
     yield found
     found.close()
 

@@ -20,7 +20,7 @@ from robotkube.foundation.kubernetes.core.network_policies import NetworkPeer, N
 from tests.stages.network.namespaces import reached
 from tests.stages.platform.running_platform import Platform, eventually
 
-PORTS = (22, 1883, 3000, 6379, 7000, 8080, 8081, 8083, 8883, 10250, 27017)
+PORTS = (22, 1883, 3000, 6379, 7000, 8080, 8081, 8083, 8883, 10250, 27017, 27018)
 HOST_PORTS = (53, 6443)
 LEAST_SECONDS, MOST_SECONDS = 2.0, 30.0
 PARALLEL = 8

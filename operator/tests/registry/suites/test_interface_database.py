@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import yaml
 
+from robotkube.foundation.certificates.adapters.issuing import throw_away
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.registry.evidence.core.statements import Artefact, Check
 from robotkube.registry.suites.loops.installation import filled_sets, install
@@ -19,7 +20,7 @@ from robotkube.registry.suites.loops.interface import InterfaceSuite
 from robotkube.registry.suites.loops.interface_observer import ObserverTimeouts
 from robotkube.registry.suites.ports.suites import Subject
 from tests.stages.paths import REPOSITORY
-from tests.stages.recording.database_server import DatabaseServer
+from tests.stages.recording.database_server import NAME, DatabaseServer
 from tests.stages.registry.local_namespace import LocalTestNamespace, deployment
 
 pytestmark = pytest.mark.toolchain
@@ -29,10 +30,14 @@ CHART = REPOSITORY / "charts" / "apps" / "event-detector"
 
 
 @pytest.fixture
-def namespace(database_server: DatabaseServer, tmp_path: Path) -> Iterator[LocalTestNamespace]:
-    made = LocalTestNamespace(tmp_path / "suite", database_server)
+def namespace(tmp_path: Path) -> Iterator[LocalTestNamespace]:
+    """With a database that speaks TLS, as where the platform does."""
+    server = DatabaseServer(tmp_path / "database", issued=throw_away(NAME))
+    server.start()
+    made = LocalTestNamespace(tmp_path / "suite", server)
     yield made
     made.close()
+    server.close()
 
 
 def objects(values: Mapping[str, Any], name: str) -> list[dict[str, Any]]:

@@ -3,6 +3,7 @@
 import base64
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -365,10 +366,40 @@ def test_a_database_with_an_account_of_its_own() -> None:
     assert (administrator.username, administrator.host) == ("administrator", "10.0.0.9")
     assert api.secrets["suite-database"]["password"] == administrator.password != account.password
     assert set(api.secrets["database-account"]) == {
-        "username", "password", "database", "host", "port", "authenticationDatabase",
+        "username", "password", "database", "host", "port", "authenticationDatabase", "tls",
     }  # fmt: skip
+    assert (account.port, account.authority, api.secrets["database-account"]["tls"]) == (27017, "", "off")
     container = api.objects["Pod", "suite-database"]["spec"]["containers"][0]
-    assert (container["image"], container["args"]) == ("db@x", ["--a"])
+    assert (container["image"], container["args"]) == ("db@x", ["--a", "--listen-addr=:27017"])
+
+
+@pytest.mark.parametrize("kind", ["ferretdb", "mongo"])
+def test_a_database_proves_who_it_is_where_the_platforms_does(kind: str) -> None:
+    """By a name and an authority of its own; the broker's stays trusted."""
+    api, made = MemoryNamespaceObjects(), []
+    settings = replace(SETTINGS, certify=throw_away, database_kind=kind)
+    test_namespace, _ = make_namespace(api, settings=settings, account=lambda *accounts: made.extend(accounts))
+    test_namespace.start_broker()
+    before = api.objects["ConfigMap", "robotkube-ca"]["data"]["ca.crt"]
+    account = test_namespace.start_database()
+    told, files = api.secrets["database-account"], api.secrets["suite-database"]
+    assert (told["tls"], told["server_name"], told["port"]) == ("required", "suite-database", "27018")
+    assert [(one.server_name, one.authority, one.port) for one in made] == [
+        ("suite-database", files["ca.crt"], 27018)
+    ] * 2
+    assert made[1] == account
+    assert describe(Pair(files["tls.crt"], files["tls.key"]), Pair(files["ca.crt"], files["tls.key"])).signed
+    assert files["tls.pem"] == files["tls.crt"] + files["tls.key"]
+    assert api.objects["ConfigMap", "robotkube-ca"]["data"]["ca.crt"] == before + files["ca.crt"]
+    pod = api.objects["Pod", "suite-database"]["spec"]
+    [container] = pod["containers"]
+    mounted = {
+        item["path"] for one in pod["volumes"] if one["name"] == "certificate" for item in one["secret"]["items"]
+    }
+    named = {Path(word.rpartition("=")[2]).name for word in container["args"] if "/etc/database-tls/" in word}
+    assert named <= mounted
+    assert container["readinessProbe"]["tcpSocket"]["port"] == 27018
+    assert "27017" not in str(container["args"])
 
 
 def test_no_database_where_the_platform_has_none() -> None:

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from robotkube.foundation.certificates.adapters.issuing import throw_away
 from robotkube.foundation.database.adapters.connection import DatabaseLogin, connect
 from robotkube.robots.recording.adapters.mongodb import PymongoRecordingReader, PymongoRecordingStore
 from robotkube.robots.recording.adapters.segments import McapSegmentReader
@@ -27,6 +28,8 @@ from robotkube.robots.recording.loops.recordings import Recordings
 from robotkube.robots.recording.ports import RecordingStore
 from robotkube.robots.ros.core.ring_buffers import Sample
 from robotkube.robots.ros.core.topic_patterns import TopicPattern
+from tests.stages.programs import free_port
+from tests.stages.recording.database_server import NAME
 from tests.stages.recording.seals import examined
 from tests.stages.waiting import until
 
@@ -227,6 +230,24 @@ def test_reception_goes_on_while_the_database_is_away(bench: Bench, monkeypatch:
     assert recorder.stop(STOP_SECONDS_MAX)
     bench.assert_complete(4)
     assert recorder.counts()["spooled"] == before["spooled"]
+
+
+def test_a_recorder_goes_where_its_account_leads_when_the_database_speaks_tls(bench: Bench) -> None:
+    """As when a platform changes over, and the kubelet has brought the changed Secret."""
+    recorder = bench.recorder()
+    bench.second(recorder, 0)
+    until(lambda: recorder.counts()["acknowledged"] == 110 and recorder.waiting == 0)
+    bench.server.kill()
+    bench.second(recorder, 1)
+    until(lambda: recorder.counts()["retries"] > 0, "a try that failed")
+    bench.server.port, bench.server.issued = free_port(), throw_away(NAME)
+    bench.server.start()
+    bench.account = replace(bench.account, port=bench.server.port, tls=bench.server.tls)
+    until(lambda: recorder.waiting == 0)
+    assert recorder.stop(STOP_SECONDS_MAX)
+    bench.database.client.close()
+    bench.database = connect(bench.account)
+    bench.assert_complete(2)
 
 
 def test_a_database_that_comes_late_gets_everything(bench: Bench) -> None:

@@ -13,10 +13,20 @@ from typing import Any
 
 import pymongo
 
+from robotkube.foundation.certificates.adapters.verification import ServerVerification
+from robotkube.foundation.certificates.core.lives import Issued
+from robotkube.foundation.database.adapters.encryption import encrypt
+from robotkube.registry.suites.core.namespace_contents import (
+    DATABASE_FOLDER,
+    DATABASE_LISTENERS,
+    DATABASE_TLS_PORT,
+    database_files,
+)
 from tests.stages.programs import free_port, program
 
 START_SECONDS_MAX = 20.0
 STOP_SECONDS_MAX = 10.0
+NAME = "suite-database"
 SETUP_USER = "administrator"
 SETUP_PASSWORD = "set-up password"  # noqa: S105
 
@@ -24,20 +34,28 @@ SETUP_PASSWORD = "set-up password"  # noqa: S105
 @dataclass
 class DatabaseServer:
     """One FerretDB process on a folder; it can be killed and started again on the same data and port. It listens on
-    `address`; tests reach it on the loopback."""
+    `address`; tests reach it on the loopback. With `issued` it speaks TLS alone, and shows that certificate, which is
+    for `name`."""
 
     folder: Path
     address: str = "127.0.0.1"
     port: int = field(default_factory=free_port)
+    issued: Issued | None = None
+    name: str = NAME
     process: subprocess.Popen[bytes] | None = None
     clients: list[pymongo.MongoClient[dict[str, Any]]] = field(default_factory=list)
+
+    @property
+    def tls(self) -> ServerVerification | None:
+        """How it proves who it is."""
+        return ServerVerification(self.folder / "ca.crt", self.name) if self.issued else None
 
     def start(self) -> None:
         (self.folder / "data").mkdir(parents=True, exist_ok=True)
         command = [
             program("ferretdb"), "--handler=sqlite", f"--sqlite-url=file:{self.folder}/data/",
-            f"--state-dir={self.folder}", f"--listen-addr={self.address}:{self.port}", "--debug-addr=-",
-            "--telemetry=disable", "--setup-database=admin", "--log-level=ERROR",
+            f"--state-dir={self.folder}", *self._listeners(), "--debug-addr=-", "--telemetry=disable",
+            "--setup-database=admin", "--log-level=ERROR",
         ]  # fmt: skip
         environment = {
             **os.environ,
@@ -51,6 +69,18 @@ class DatabaseServer:
             assert self.process.poll() is None, (self.folder / "log").read_text()
             assert time.monotonic() < deadline, "FerretDB did not listen in time"
             time.sleep(0.01)
+
+    def _listeners(self) -> list[str]:
+        """The same as of a test namespace's, on this folder and port."""
+        if self.issued is None:
+            return [f"--listen-addr={self.address}:{self.port}"]
+        for name, text in database_files(self.issued).items():
+            (self.folder / name).write_text(text)
+        places = {DATABASE_FOLDER: str(self.folder), f":{DATABASE_TLS_PORT}": f"{self.address}:{self.port}"}
+        arguments = list(DATABASE_LISTENERS["ferretdb", True])
+        for old, new in places.items():
+            arguments = [one.replace(old, new) for one in arguments]
+        return arguments
 
     def kill(self) -> None:
         """End the process at once, as a crash would."""
@@ -68,8 +98,15 @@ class DatabaseServer:
     ) -> pymongo.MongoClient[dict[str, Any]]:
         account: dict[str, Any] = {"username": user, "password": password, "authSource": database} if user else {}
         client: pymongo.MongoClient[dict[str, Any]] = pymongo.MongoClient(
-            "127.0.0.1", self.port, serverSelectionTimeoutMS=5000, event_listeners=event_listeners, **account
+            "127.0.0.1",
+            self.port,
+            serverSelectionTimeoutMS=5000,
+            event_listeners=event_listeners,
+            connect=False,
+            **account,
         )
+        if self.tls is not None:
+            encrypt(client, self.tls)
         self.clients.append(client)
         return client
 

@@ -18,7 +18,7 @@ from robotkube.registry.suites.ports.suites import Object, PodEnd, PodRun, Suite
 from robotkube.testing.api_server import ApiServerInMemory
 from tests.stages.commands import local_command
 from tests.stages.paths import SOURCE
-from tests.stages.recording.database_server import DatabaseServer
+from tests.stages.recording.database_server import NAME, DatabaseServer
 from tests.stages.ros.ros_domains import domain as ros_domain
 
 CLAIMS = ("/var/lib/robotkube/bags", "/var/lib/robotkube/recordings", "/var/lib/robotkube/scratch")
@@ -214,8 +214,13 @@ class LocalTestNamespace:
         assert self._server is not None, "this test namespace has no database"
         if self._database is None:
             self._server.create_account(DATABASE, "a password", DATABASE)
-            self._database = SuiteAccount(DATABASE, "a password", "127.0.0.1", self._server.port, DATABASE)
-            self._secret("database", self._database, authenticationDatabase=DATABASE)
+            proof: tuple[str, str] = ("", "")
+            more = {"authenticationDatabase": DATABASE}
+            if self._server.issued is not None:
+                proof = (NAME, self._server.issued.authority)
+                more |= {"tls": "required", "ca.crt": self._server.issued.authority}
+            self._database = SuiteAccount(DATABASE, "a password", "127.0.0.1", self._server.port, DATABASE, *proof)
+            self._secret("database", self._database, **more)
         return self._database
 
     def _secret(self, name: str, account: SuiteAccount, **more: str) -> None:

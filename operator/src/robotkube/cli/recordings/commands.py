@@ -7,6 +7,9 @@ the database is reached at the address of its Service, or where `--database` say
 from __future__ import annotations
 
 import argparse
+import atexit
+import shutil
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -18,7 +21,7 @@ from robotkube.cli.platform import Platform
 from robotkube.cli.recordings.volumes import add_argument as add_segments
 from robotkube.cli.recordings.volumes import folders_here, volume_place
 from robotkube.errors import DocumentError, InputError, RefusalError, UnavailableError
-from robotkube.foundation.database.adapters.connection import DatabaseLogin, connect
+from robotkube.foundation.database.adapters.connection import connect, login_at
 from robotkube.robots.recording.adapters.mongodb import PymongoRecordingReader
 from robotkube.robots.recording.adapters.segments import McapSegmentReader
 from robotkube.robots.recording.core.audits import AuditSum
@@ -210,6 +213,7 @@ class _Explained:
 
     reader: PymongoRecordingReader
     address: str
+    port: str
 
     def recordings(self) -> Sequence[Mapping[str, Any]]:
         try:
@@ -217,7 +221,7 @@ class _Explained:
         except UnavailableError as error:
             raise UnavailableError(
                 f"{error}; is {self.address} in reach from here? Else run `kubectl -n robotkube port-forward "
-                "service/database 27017` and add --database 127.0.0.1:27017"
+                f"service/database {self.port}` and add --database 127.0.0.1:{self.port}"
             ) from error
 
     def buckets(self, recording: str) -> Iterator[Mapping[str, Any]]:
@@ -240,8 +244,11 @@ def readers_of(options: argparse.Namespace) -> Readers:
     """The databases by agent that records, as the options of the command say."""
     platform = Platform(options)
     accounts = platform.database_accounts(options.agent)
-    host, port = _address(options.database) if options.database else platform.address("database")
-    return {agent: _reader(agent, values, host, port) for agent, values in sorted(accounts.items())}
+    address = _address(options.database) if options.database else platform.address("database")
+    folder = Path(tempfile.mkdtemp(prefix="robotkube-"))  # read again at each connection
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    authorities = platform.authorities()
+    return {agent: _reader(address, values, authorities, folder) for agent, values in sorted(accounts.items())}
 
 
 def segments_of(options: argparse.Namespace) -> SegmentReader:
@@ -250,14 +257,10 @@ def segments_of(options: argparse.Namespace) -> SegmentReader:
     return McapSegmentReader({**folders_here(Platform(options).volumes()), **named})
 
 
-def _reader(agent: str, values: Mapping[str, str], host: str, port: int) -> RecordingReader:
-    try:
-        account = DatabaseLogin(
-            host, port, values["database"], values["username"], values["password"], values["authenticationDatabase"]
-        )
-    except KeyError as error:
-        raise DocumentError(f"secret {agent}/database-account", [f"has no key {error}"]) from error
-    return _Explained(PymongoRecordingReader(connect(account)), f"{host}:{port}")
+def _reader(address: tuple[str, int], values: Mapping[str, str], authorities: str, folder: Path) -> RecordingReader:
+    account = login_at(address, values, authorities, folder)
+    host, port = address
+    return _Explained(PymongoRecordingReader(connect(account)), f"{host}:{port}", values["port"])
 
 
 def find(readers: Readers, recording: str) -> tuple[str, RecordingReader, Mapping[str, Any]]:

@@ -1,1 +1,1 @@
-"""Certificates of the platform: an authority that is made once, and the broker's certificate, renewed in time"""
+"""Certificates of the platform: an authority that is made once, and servers' certificates, renewed in time"""

@@ -1,4 +1,4 @@
-"""The process that keeps the platform's certificates: an authority made once, the broker's certificate, whom to trust.
+"""The process that keeps the platform's certificates: an authority made once, servers' certificates, whom to trust.
 
 Started by `robotkube-certificates` or `python3 -m robotkube.delivery.certificates`. Settings:
 docs/reference/settings.md. Ends with 0 on SIGTERM, 2 when the settings are wrong. Nothing is kept here: all of it
@@ -13,7 +13,7 @@ from collections.abc import Mapping
 
 from robotkube.delivery.certificates.adapters.certificate_objects import KubernetesCertificates
 from robotkube.delivery.certificates.loops.keeper import CertificateKeeper
-from robotkube.delivery.certificates.settings import read_configuration
+from robotkube.delivery.certificates.settings import FORMER_KEYS, read_configuration
 from robotkube.foundation.certificates.adapters import issuing
 from robotkube.foundation.kubernetes.adapters.http_client import ApiServer
 from robotkube.foundation.runtime import settings_file as files
@@ -26,7 +26,7 @@ GRACE_SECONDS = 12.0  # of which one request may take 10
 
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     """Keep certificates, and serve health and metrics, until the process shall end."""
-    settings = files.start_with_settings(process, read_configuration, environment)
+    settings = files.start_with_settings(process, read_configuration, environment, FORMER_KEYS)
     objects = KubernetesCertificates(ApiServer.from_environment(environment), settings.issuance)
     keeper = CertificateKeeper(objects, issuing, settings.issuance, time.time)
     listen = settings.listen

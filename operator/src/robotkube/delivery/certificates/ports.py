@@ -1,4 +1,4 @@
-"""Where the authority and the broker's certificate stand, where others read whom to trust, and who makes certificates.
+"""Where the authority and servers' certificates stand, where others read whom to trust, and who makes certificates.
 
 UnavailableError when the API server does not answer or the fault passes, InputError when it refuses.
 """
@@ -22,12 +22,12 @@ class CertificateObjects(Protocol):
         """Put the authority into its empty Secret. UnavailableError when the Secret has changed since it was read."""
         ...
 
-    def certificate(self) -> Pair | None:
-        """The broker's certificate; None while its Secret is empty, or holds only a part of one."""
+    def certificate(self, secret: str) -> Pair | None:
+        """The certificate in this Secret; None while it is empty, or holds only a part of one."""
         ...
 
-    def put_certificate(self, certificate: Pair) -> None:
-        """Replace the broker's certificate and key, both at once."""
+    def put_certificate(self, secret: str, certificate: Pair) -> None:
+        """Replace the certificate and the key in this Secret, both at once."""
         ...
 
     def trusted(self, namespace: str) -> str:

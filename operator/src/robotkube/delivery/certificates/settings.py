@@ -7,12 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from robotkube.delivery.certificates.core.issuance import Issuance
+from robotkube.delivery.certificates.core.issuance import Issuance, ServerCertificate
+from robotkube.foundation.documents.core.former_keys import FormerKey
 from robotkube.foundation.documents.core.patterns import DNS_NAME, NAME, WORD
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.runtime import settings_file as files
 
 LIFE_SECONDS_MIN, LIFE_SECONDS_MAX = 10, 825 * 86_400
+FORMER_KEYS = (FormerKey("certificate", "certificates", convert=lambda one: [one]),)
 
 
 @dataclass(frozen=True)
@@ -26,26 +28,39 @@ class CertificatesConfiguration:
 
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> CertificatesConfiguration:
     """The settings document of the process."""
-    root = reader.mapping(document, "", ["listen", "log_level", "namespace", "authority", "certificate", "trusted"])
+    root = reader.mapping(document, "", ["listen", "log_level", "namespace", "authority", "certificates", "trusted"])
     authority = reader.mapping(root.get("authority") or {}, "authority", ["secret"])
-    certificate = reader.mapping(root.get("certificate") or {}, "certificate", ["secret", "names", "life_seconds"])
     trusted = reader.mapping(root.get("trusted") or {}, "trusted", ["config_map", "namespaces"])
-    names = reader.sequence(certificate.get("names"), "certificate.names")
+    certificates = enumerate(reader.sequence(root.get("certificates"), "certificates"))
     namespaces = enumerate(reader.sequence(trusted.get("namespaces"), "trusted.namespaces"))
-    if not names:
-        reader.problems.append("certificate.names: must name the broker")
+    issuance = Issuance(
+        platform=reader.word(root.get("namespace"), "namespace", NAME),
+        authority=reader.word(authority.get("secret"), "authority.secret", WORD),
+        trusted=reader.word(trusted.get("config_map"), "trusted.config_map", WORD),
+        namespaces=tuple(reader.word(one, f"trusted.namespaces[{i}]", NAME) for i, one in namespaces),
+        certificates=tuple(_certificate(reader, one, f"certificates[{i}]") for i, one in certificates),
+    )
+    secrets = [one.secret for one in issuance.certificates]
+    if not secrets:
+        reader.problems.append("certificates: must name the Secret of one server at least")
+    if len(set(secrets)) < len(secrets) or issuance.authority in secrets:
+        reader.problems.append("certificates: each needs a Secret of its own, which is not the authority's")
     return CertificatesConfiguration(
         listen=files.listen(reader, root.get("listen")),
         log_level=files.log_level(reader, root.get("log_level")),
-        issuance=Issuance(
-            platform=reader.word(root.get("namespace"), "namespace", NAME),
-            authority=reader.word(authority.get("secret"), "authority.secret", WORD),
-            certificate=reader.word(certificate.get("secret"), "certificate.secret", WORD),
-            trusted=reader.word(trusted.get("config_map"), "trusted.config_map", WORD),
-            namespaces=tuple(reader.word(one, f"trusted.namespaces[{i}]", NAME) for i, one in namespaces),
-            names=tuple(_name(reader, name, f"certificate.names[{i}]") for i, name in enumerate(names)),
-            seconds=float(_life(reader, certificate.get("life_seconds"))),
-        ),
+        issuance=issuance,
+    )
+
+
+def _certificate(reader: Reader, value: Any, path: str) -> ServerCertificate:
+    certificate = reader.mapping(value, path, ["secret", "names", "life_seconds"])
+    names = reader.sequence(certificate.get("names"), f"{path}.names")
+    if not names:
+        reader.problems.append(f"{path}.names: must name the server")
+    return ServerCertificate(
+        secret=reader.word(certificate.get("secret"), f"{path}.secret", WORD),
+        names=tuple(_name(reader, name, f"{path}.names[{i}]") for i, name in enumerate(names)),
+        seconds=float(_life(reader, certificate.get("life_seconds"), f"{path}.life_seconds")),
     )
 
 
@@ -57,9 +72,8 @@ def _name(reader: Reader, value: Any, path: str) -> str:
         return reader.word(text, path, DNS_NAME)
 
 
-def _life(reader: Reader, value: Any) -> int:
+def _life(reader: Reader, value: Any, path: str) -> int:
     if isinstance(value, int) and not isinstance(value, bool) and LIFE_SECONDS_MIN <= value <= LIFE_SECONDS_MAX:
         return value
-    bounds = f"{LIFE_SECONDS_MIN} to {LIFE_SECONDS_MAX}"
-    reader.problems.append(f"certificate.life_seconds: must be a whole number from {bounds}")
+    reader.problems.append(f"{path}: must be a whole number from {LIFE_SECONDS_MIN} to {LIFE_SECONDS_MAX}")
     return LIFE_SECONDS_MAX

@@ -1,7 +1,8 @@
 """The process of the interface suite's second pod, `robotkube-suite-observer`.
 
 Reads /suite/config.json (variable ROBOTKUBE_SUITE_CONFIG: another file), observes the ROS network of ROS_DOMAIN_ID, the
-broker of the mounted Secret when `broker` is true, and the database of `database`. Its last line on stdout is
+broker of the mounted Secret when `broker` is true, and the database of `database` (its certificate is for the
+`server_name` there, of the authority in database-ca.crt beside the settings). Its last line on stdout is
 `{"observation": {...}}` (core/interface_observations.py). With `clear` it only empties the database; with
 `load_seconds` it sends to all inputs for that long instead of observing each.
 """
@@ -18,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from robotkube.errors import InputError
+from robotkube.foundation.certificates.adapters.verification import ServerVerification
 from robotkube.foundation.database.adapters.connection import DatabaseLogin, connect
 from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.runtime.process import PodSettings, Process, read_text, run
@@ -34,7 +36,7 @@ from robotkube.robots.ros.adapters.rclpy_node import RosNode
 from robotkube.robots.ros.core.common_messages import STAMPED_TYPES
 
 GRACE_SECONDS = 2.0
-CONFIG_FILE = "/suite/config.json"
+CONFIG_FILE, DATABASE_AUTHORITY = "/suite/config.json", "database-ca.crt"
 CONFIG_VARIABLE = "ROBOTKUBE_SUITE_CONFIG"
 TEXT_PAYLOAD = b"{}"
 
@@ -67,7 +69,7 @@ def body(process: Process) -> None:
     """Observe, and print the observation."""
     path = Path(os.environ.get(CONFIG_VARIABLE, CONFIG_FILE))
     config = read_config(read_text(path, "the observer's settings"), str(path))
-    database = PymongoCollections(connect(DatabaseLogin(**config["database"]))) if config["database"] else None
+    database = PymongoCollections(connect(login(config["database"], path.parent))) if config["database"] else None
     if config["clear"]:
         if database is not None:
             database.clear()
@@ -98,6 +100,14 @@ def read_config(text: str, where: str) -> Mapping[str, Any]:
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"{where}: is no configuration of an observer: {error!r}") from error
     return dict(config)
+
+
+def login(account: Mapping[str, Any], folder: Path) -> DatabaseLogin:
+    """The account of the database, and how that proves who it is."""
+    values = dict(account)
+    name = values.pop("server_name", "")  # a suite-runner of an earlier version says none
+    tls = ServerVerification(folder / DATABASE_AUTHORITY, name) if name else None
+    return DatabaseLogin(**values, tls=tls)
 
 
 def broker(name: str) -> PahoObserver:

@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 
 from robotkube.backoffs import backoff
 from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.certificates.adapters.verification import ServerVerification
 from robotkube.foundation.database.adapters.accounts import MongoAccounts
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.foundation.documents.core.digests import canonical_json
@@ -118,7 +119,21 @@ def namespace_objects(namespace: str, environment: Mapping[str, str] = os.enviro
 
 def make_account(administrator: SuiteAccount, account: SuiteAccount) -> None:
     """An account in a database that was just started; UnavailableError when it does not answer in time."""
-    accounts = MongoAccounts(administrator.host, administrator.port, administrator.username, administrator.password)
+    with tempfile.TemporaryDirectory(prefix="database-") as folder:
+        _make_account(_accounts(administrator, Path(folder)), account)
+
+
+def _accounts(administrator: SuiteAccount, folder: Path) -> MongoAccounts:
+    """The database of a test namespace, by its administrator; who signed its certificate is written into `folder`."""
+    tls = None
+    if administrator.authority:
+        tls = ServerVerification(folder / "ca.crt", administrator.server_name)
+        tls.authorities.write_text(administrator.authority)
+    known = administrator
+    return MongoAccounts(known.host, known.port, known.username, known.password, tls)
+
+
+def _make_account(accounts: MongoAccounts, account: SuiteAccount) -> None:
     deadline = time.monotonic() + ACCOUNT_SECONDS_MAX
     attempts = 0
     try:

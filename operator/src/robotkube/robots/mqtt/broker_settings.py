@@ -4,10 +4,9 @@ proves who it is."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
-from robotkube.foundation.certificates.adapters.verification import ServerVerification
+from robotkube.foundation.certificates.settings import read_server_verification
 from robotkube.foundation.documents.core.patterns import WORD
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.runtime import settings_file as files
@@ -19,7 +18,8 @@ def read_broker(reader: Reader, value: Any) -> BrokerAccount:
     broker = reader.mapping(value or {}, "broker", ["host", "port", "credentials"], ["authorities"])
     account = files.credentials(reader, broker.get("credentials"), "broker.credentials")
     host = reader.word(broker.get("host"), "broker.host", WORD)
-    return BrokerAccount(host, _port(reader, broker), account.username, account.password, _tls(reader, broker, host))
+    tls = read_server_verification(reader, broker.get("authorities"), "broker.authorities", host)
+    return BrokerAccount(host, _port(reader, broker), account.username, account.password, tls)
 
 
 def _port(reader: Reader, broker: Mapping[str, Any]) -> int:
@@ -28,9 +28,3 @@ def _port(reader: Reader, broker: Mapping[str, Any]) -> int:
         return port
     reader.problems.append(f"broker.port: must be a whole number from 1 to {files.PORT_MAX}")
     return 0
-
-
-def _tls(reader: Reader, broker: Mapping[str, Any], host: str) -> ServerVerification | None:
-    if broker.get("authorities") is None:
-        return None
-    return ServerVerification(Path(reader.word(broker["authorities"], "broker.authorities", files.PATH)), host)

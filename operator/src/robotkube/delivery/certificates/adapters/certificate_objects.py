@@ -1,5 +1,5 @@
-"""The port CertificateObjects through the API server: two Secrets by name in the platform's namespace, and a ConfigMap
-by name in each namespace. The chart makes them, empty; this fills them, and needs no right to make any."""
+"""The port CertificateObjects through the API server: Secrets by name in the platform's namespace, and a ConfigMap by
+name in each namespace. The chart makes them, empty; this fills them, and needs no right to make any."""
 
 from __future__ import annotations
 
@@ -56,15 +56,13 @@ class KubernetesCertificates:
         body = {"metadata": {"resourceVersion": self._version}, "stringData": _files(authority)}
         self._patch(self._secret(self._issuance.authority), f"Secret {self._issuance.authority}", body)
 
-    def certificate(self) -> Pair | None:
+    def certificate(self, secret: str) -> Pair | None:
         """See the port."""
-        name = self._issuance.certificate
-        return _pair(self._read(self._secret(name), f"Secret {name}").get("data") or {})
+        return _pair(self._read(self._secret(secret), f"Secret {secret}").get("data") or {})
 
-    def put_certificate(self, certificate: Pair) -> None:
+    def put_certificate(self, secret: str, certificate: Pair) -> None:
         """See the port."""
-        name = self._issuance.certificate
-        self._patch(self._secret(name), f"Secret {name}", {"stringData": _files(certificate)})
+        self._patch(self._secret(secret), f"Secret {secret}", {"stringData": _files(certificate)})
 
     def trusted(self, namespace: str) -> str:
         """See the port."""

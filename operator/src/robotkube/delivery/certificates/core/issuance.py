@@ -6,14 +6,21 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
+class ServerCertificate:
+    """The certificate of one server in the Secret `secret`, for `names` and `seconds`."""
+
+    secret: str
+    names: tuple[str, ...]
+    seconds: float
+
+
+@dataclass(frozen=True)
 class Issuance:
-    """The broker's certificate in the Secret `certificate` of namespace `platform`, for `names` and `seconds`; its
-    authority in Secret `authority` there, and what is public of that in ConfigMap `trusted` of all `namespaces`."""
+    """The certificates of servers, each in a Secret of namespace `platform`; their authority in Secret `authority`
+    there, and what is public of that in ConfigMap `trusted` of all `namespaces`."""
 
     platform: str
     authority: str
-    certificate: str
     trusted: str
     namespaces: tuple[str, ...]
-    names: tuple[str, ...]
-    seconds: float
+    certificates: tuple[ServerCertificate, ...]

@@ -1,4 +1,4 @@
-"""Keeping certificates: the authority is made once, the broker's certificate renewed at two thirds of its life, and
+"""Keeping certificates: the authority is made once, each server's certificate renewed at two thirds of its life, and
 every namespace of agents told whom to trust."""
 
 from __future__ import annotations
@@ -7,11 +7,11 @@ import logging
 import threading
 from collections.abc import Callable, Sequence
 
-from robotkube.delivery.certificates.core.issuance import Issuance
+from robotkube.delivery.certificates.core.issuance import Issuance, ServerCertificate
 from robotkube.delivery.certificates.ports import CertificateObjects, Issuer
 from robotkube.errors import InputError, RobotKubeError
 from robotkube.foundation.certificates.core.lives import Life, Pair, reason_to_replace
-from robotkube.foundation.runtime.ports import Series
+from robotkube.foundation.runtime.ports import Series, by_one
 
 CHECK_SECONDS = 60.0
 CHECK_SHARE = 0.05
@@ -33,12 +33,12 @@ class CertificateKeeper:
         self._issuance = issuance
         self._wall = wall
         self.problem = "nothing was looked at yet"
-        self.life: Life | None = None
+        self.lives: dict[str, Life] = {}
         self.issued = self.published = self.failed = 0
 
     def run(self, stopping: threading.Event) -> None:
         """Keep them until `stopping` is set."""
-        interval = min(CHECK_SECONDS, CHECK_SHARE * self._issuance.seconds)
+        interval = min(CHECK_SECONDS, *(CHECK_SHARE * one.seconds for one in self._issuance.certificates))
         while not stopping.wait(0.0):
             self.step()
             stopping.wait(min(interval, RETRY_SECONDS) if self.problem else interval)
@@ -62,7 +62,8 @@ class CertificateKeeper:
                 self._objects.publish(namespace, authority.certificate)
                 self.published += 1
                 log.info("authority published namespace=%s", namespace)
-        self.life = self._renewed(authority)
+        for certificate in self._issuance.certificates:
+            self.lives[certificate.secret] = self._renewed(certificate, authority)
 
     def _authority(self) -> Pair:
         authority = self._objects.authority()
@@ -77,47 +78,48 @@ class CertificateKeeper:
             )
         return authority
 
-    def _renewed(self, authority: Pair) -> Life:
-        """The life of the broker's certificate, renewed where that is due."""
-        issuance, now = self._issuance, self._wall()
-        present = self._objects.certificate()
-        life = self._described(present, authority) if present is not None else None
-        reason = reason_to_replace(life, issuance.names, now)
+    def _renewed(self, certificate: ServerCertificate, authority: Pair) -> Life:
+        """The life of a server's certificate, renewed where that is due."""
+        secret, now = certificate.secret, self._wall()
+        present = self._objects.certificate(secret)
+        life = self._described(secret, present, authority) if present is not None else None
+        reason = reason_to_replace(life, certificate.names, now)
         if not reason:
             assert life is not None
             return life
-        made = self._issuer.issue(authority, issuance.names, now, issuance.seconds)
-        self._objects.put_certificate(made)
+        made = self._issuer.issue(authority, certificate.names, now, certificate.seconds)
+        self._objects.put_certificate(secret, made)
         self.issued += 1
         life = self._issuer.describe(made, authority)
         cause = reason.replace(" ", "-")
-        log.info("certificate issued secret=%s cause=%s seconds=%.0f", issuance.certificate, cause, life.end - now)
+        log.info("certificate issued secret=%s cause=%s seconds=%.0f", secret, cause, life.end - now)
         return life
 
-    def _described(self, present: Pair, authority: Pair) -> Life | None:
+    def _described(self, secret: str, present: Pair, authority: Pair) -> Life | None:
         """None for what cannot be read: it is replaced as if there were none."""
         try:
             return self._issuer.describe(present, authority)
         except InputError as error:
-            log.warning("Secret %s: %s", self._issuance.certificate, error)
+            log.warning("Secret %s: %s", secret, error)
             return None
 
     def reasons_not_ready(self) -> Sequence[str]:
         """Why this is not ready: what the last look met, or a certificate that is over."""
         if self.problem:
             return [self.problem]
-        if self.life is not None and self._wall() >= self.life.end:
-            return [f"the certificate in Secret {self._issuance.certificate} has expired"]
-        return []
+        now = self._wall()
+        ended = [secret for secret, life in self.lives.items() if now >= life.end]
+        return [f"the certificate in Secret {secret} has expired" for secret in ended]
 
     def metrics(self) -> Sequence[Series]:
         """What Prometheus reads."""
         prefix = "robotkube_certificates_"
-        expiry = "Time at which the broker's certificate expires, in seconds since 1970; 0 while it was not looked at."
+        expiry = "Time at which a server's certificate expires, in seconds since 1970; 0 while it was not looked at."
         issued, published = "Certificates that were made.", "Namespaces that were told whom to trust."
-        end = self.life.end if self.life is not None else 0.0
+        ends = {one.secret: 0.0 for one in self._issuance.certificates}
+        ends |= {secret: life.end for secret, life in self.lives.items()}
         return (
-            Series(f"{prefix}expiry_timestamp_seconds", "gauge", expiry, {(): end}),
+            Series(f"{prefix}expiry_timestamp_seconds", "gauge", expiry, by_one(ends), ("secret",)),
             Series(f"{prefix}issued_total", "counter", issued, {(): float(self.issued)}),
             Series(f"{prefix}published_total", "counter", published, {(): float(self.published)}),
             Series(f"{prefix}failures_total", "counter", "Looks that failed.", {(): float(self.failed)}),

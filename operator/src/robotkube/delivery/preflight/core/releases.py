@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from robotkube.delivery.preflight.core.findings import CheckVerdict, Problem
 from robotkube.delivery.preflight.core.renderings import Object, RenderedChart, name_of
@@ -13,8 +13,19 @@ from robotkube.registry.suites.core.pod_security import items, mapping
 
 NUMBERS = re.compile(r"([0-9]+)\.([0-9]+)\.([0-9]+)")
 PENDING = ("pending-install", "pending-upgrade", "pending-rollback", "uninstalling")
-ENCRYPTED, PLAIN = 8883, 1883
-GATE, BROKER = "gate", "broker"
+GATE = "gate"
+
+
+class Server(NamedTuple):
+    """A Service of the platform with a port for TLS and one for clear text, and who connects."""
+
+    name: str
+    tls: int
+    plain: int
+    clients: str
+
+
+SERVERS = (Server("broker", 8883, 1883, "robots that run"), Server("database", 27018, 27017, "recorders that run"))
 
 
 @dataclass(frozen=True)
@@ -74,7 +85,7 @@ def _way(installed: str, own: str) -> Iterator[Problem]:
 def _demands(rendering: RenderedChart, standing: PresentObjects) -> Iterator[Problem]:
     """What UPGRADING.md asks for before, as far as objects of the cluster show that it was not done."""
     yield from _former_gate(rendering, standing)
-    yield from _broker_in_clear_text(rendering, standing)
+    yield from _in_clear_text(rendering, standing)
 
 
 def _former_gate(rendering: RenderedChart, standing: PresentObjects) -> Iterator[Problem]:
@@ -87,15 +98,16 @@ def _former_gate(rendering: RenderedChart, standing: PresentObjects) -> Iterator
         yield Problem("the gate of an earlier version runs", f"Deployment {own}/{GATE}", why, fix)
 
 
-def _broker_in_clear_text(rendering: RenderedChart, standing: PresentObjects) -> Iterator[Problem]:
-    now = [_ports(one) for one in standing.services if name_of(one) == BROKER]
-    then = [_ports(one) for one in rendering.of_kind("Service") if name_of(one) == BROKER]
-    if now and then and ENCRYPTED not in now[0] and ENCRYPTED in then[0] and PLAIN not in then[0]:
-        why = "robots that run speak clear text, and would lose the broker with the upgrade"
-        steps = "upgrade with tls.mode: 'off', publish the charts anew, then with tls.plain: true"
-        fix = f"{steps} (UPGRADING.md, Connections to the broker are encrypted)"
-        what = "the broker that runs takes clear text alone, and this chart's takes none"
-        yield Problem(what, f"Service {rendering.namespace}/{BROKER}", why, fix)
+def _in_clear_text(rendering: RenderedChart, standing: PresentObjects) -> Iterator[Problem]:
+    for server in SERVERS:
+        now = [_ports(one) for one in standing.services if name_of(one) == server.name]
+        then = [_ports(one) for one in rendering.of_kind("Service") if name_of(one) == server.name]
+        if now and then and server.tls not in now[0] and server.tls in then[0] and server.plain not in then[0]:
+            why = f"{server.clients} speak clear text, and would lose the {server.name} with the upgrade"
+            steps = "upgrade with tls.mode: 'off', publish the charts anew, then with tls.plain: true"
+            fix = f"{steps} (UPGRADING.md, Connections to the {server.name} are encrypted)"
+            what = f"the {server.name} that runs takes clear text alone, and this chart's takes none"
+            yield Problem(what, f"Service {rendering.namespace}/{server.name}", why, fix)
 
 
 def _ports(service: Object) -> set[Any]:

@@ -8,26 +8,35 @@ from pymongo import MongoClient
 from pymongo.errors import ConnectionFailure, OperationFailure, PyMongoError
 
 from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.certificates.adapters.verification import ServerVerification
+from robotkube.foundation.database.adapters.encryption import encrypt
 
 TIMEOUT_MILLISECONDS = 5_000
 AUTHENTICATION_FAILED = 18
 
 
 class MongoAccounts:
-    """The port DatabaseAdministration; the administrator's account is kept in database `admin`."""
+    """The port DatabaseAdministration; the administrator's account is kept in database `admin`. `tls`: how the database
+    proves who it is; None: connections are in clear text."""
 
-    def __init__(self, host: str, port: int, username: str, password: str) -> None:
+    def __init__(
+        self, host: str, port: int, username: str, password: str, tls: ServerVerification | None = None
+    ) -> None:
         self._where = f"database {host}:{port}"
+        self._tls = tls
         self._address = (host, port)
         self._administrator = self._connect("admin", username, password)
 
     def _connect(self, database: str, username: str, password: str) -> MongoClient[dict[str, Any]]:
         host, port = self._address
-        return MongoClient(
+        client: MongoClient[dict[str, Any]] = MongoClient(
             host, port, username=username, password=password, authSource=database,
             serverSelectionTimeoutMS=TIMEOUT_MILLISECONDS, connectTimeoutMS=TIMEOUT_MILLISECONDS,
-            socketTimeoutMS=TIMEOUT_MILLISECONDS, retryWrites=False, directConnection=True,
+            socketTimeoutMS=TIMEOUT_MILLISECONDS, retryWrites=False, directConnection=True, connect=False,
         )  # fmt: skip
+        if self._tls is not None:
+            encrypt(client, self._tls)
+        return client
 
     def disconnect(self) -> None:
         """Close the connections."""

@@ -1,8 +1,9 @@
-"""A connection to the database by pymongo: account, options, and its errors as ours."""
+"""A connection to the database by pymongo: account, options, and its errors as ours. An account is read from the files
+of the Secret `database-account`; how the database proves who it is: foundation.certificates.adapters.account_files."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,10 @@ from pymongo import MongoClient
 from pymongo.database import Database
 from pymongo.errors import DocumentTooLarge, PyMongoError
 
-from robotkube.errors import DocumentError, UnavailableError
+from robotkube.errors import DocumentError, InputError, UnavailableError
+from robotkube.foundation.certificates.adapters.account_files import AUTHORITIES, REQUIRED, TLS, read_verification
+from robotkube.foundation.certificates.adapters.verification import ServerVerification
+from robotkube.foundation.database.adapters.encryption import encrypt
 
 ANSWER_SECONDS_MAX = 5.0
 _ACCOUNT_KEYS = ("username", "password", "host", "port", "database", "authenticationDatabase")
@@ -23,7 +27,8 @@ _ACCOUNT_KEYS = ("username", "password", "host", "port", "database", "authentica
 
 @dataclass(frozen=True)
 class DatabaseLogin:
-    """The address of the database and an account of it. `authentication_database`: the one that knows the account."""
+    """The address of the database and an account of it. `authentication_database`: the one that knows the account.
+    `tls` None: the connection is in clear text."""
 
     host: str
     port: int
@@ -31,6 +36,7 @@ class DatabaseLogin:
     username: str
     password: str
     authentication_database: str
+    tls: ServerVerification | None = None
 
 
 def read_account(folder: Path) -> DatabaseLogin:
@@ -44,6 +50,11 @@ def read_account(folder: Path) -> DatabaseLogin:
             problems.append(f"{key}: {error.strerror}; is the Secret mounted there?")
     if not problems and not values["port"].isdigit():
         problems.append("port: must be a number")
+    tls = None
+    try:
+        tls = read_verification(folder, values.get("host", ""))
+    except InputError as error:
+        problems.append(str(error))
     if problems:
         raise DocumentError(str(folder), problems)
     return DatabaseLogin(
@@ -53,7 +64,23 @@ def read_account(folder: Path) -> DatabaseLogin:
         username=values["username"],
         password=values["password"],
         authentication_database=values["authenticationDatabase"],
+        tls=tls,
     )
+
+
+def login_at(address: tuple[str, int], values: Mapping[str, str], authorities: str, folder: Path) -> DatabaseLogin:
+    """The account in the `values` of a Secret `database-account`, for who reaches the database at another address than
+    pods do: its certificate is for the Secret's host, of the authorities (PEM), which are written into `folder`.
+    DocumentError names the missing key."""
+    try:
+        tls = ServerVerification(folder / AUTHORITIES, values["host"]) if values.get(TLS) == REQUIRED else None
+        database, username, password = values["database"], values["username"], values["password"]
+        login = DatabaseLogin(*address, database, username, password, values["authenticationDatabase"], tls)
+    except KeyError as error:
+        raise DocumentError("secret database-account", [f"has no key {error}"]) from error
+    if tls is not None:
+        tls.authorities.write_text(authorities)
+    return login
 
 
 class _PlainInteger(TypeDecoder):
@@ -93,6 +120,9 @@ def connect(account: DatabaseLogin, answer_seconds_max: float = ANSWER_SECONDS_M
         maxPoolSize=2,
         retryWrites=False,  # every write may be done twice anyway
         journal=True,  # acknowledged means on the disk
+        connect=False,
     )
+    if account.tls is not None:
+        encrypt(client, account.tls)
     options: CodecOptions[dict[str, Any]] = CodecOptions(type_registry=TypeRegistry([_PlainInteger()]))
     return client.get_database(account.database, codec_options=options)

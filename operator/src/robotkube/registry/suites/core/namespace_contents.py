@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from robotkube.errors import InputError
-from robotkube.foundation.certificates.core.lives import Pair
+from robotkube.foundation.certificates.core.lives import Issued, Pair
 from robotkube.foundation.documents.core.patterns import NAME
 
 LABEL = "robotkube.io/suite"
@@ -34,7 +34,7 @@ KINDS: Mapping[str, tuple[str, str]] = {
     "ConfigMap": ("v1", "/api/v1/namespaces/{}/configmaps"),
     "Deployment": ("apps/v1", "/apis/apps/v1/namespaces/{}/deployments"),
 }
-MQTT_PORT, MQTT_TLS_PORT, DATABASE_PORT = 1883, 8883, 27017
+MQTT_PORT, MQTT_TLS_PORT, DATABASE_PORT, DATABASE_TLS_PORT = 1883, 8883, 27017, 27018
 USER = 10001
 TEMPORARY = "/tmp"  # noqa: S108 - a volume of the pod's own
 KEY_BYTES = 64
@@ -218,7 +218,7 @@ def account_volume() -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def authorities(certificate: str) -> dict[str, Any]:
-    """The ConfigMap that says who signed the broker's certificate, as in an agent's namespace."""
+    """The ConfigMap that says who signed certificates of broker and database, as in an agent's namespace."""
     metadata = own_metadata(AUTHORITIES)
     return {"apiVersion": "v1", "kind": "ConfigMap", "metadata": metadata, "data": {AUTHORITY_FILE: certificate}}
 
@@ -271,10 +271,42 @@ def broker_pod(name: str, image: str, agent: str, domain_id: int, port: int = MQ
     )  # fmt: skip
 
 
-def database_pod(name: str, kind: str, image: str, arguments: Sequence[str], agent: str, domain_id: int) -> HelperPod:
-    """A database as the platform runs it, without a volume claim; Secret `name` has its administrator."""
-    volumes = [{"name": "data", "emptyDir": {"sizeLimit": "512Mi"}}]
-    mounts = [{"name": "data", "mountPath": "/data/db"}]
+DATABASE_FOLDER = "/etc/database-tls"
+DATABASE_LISTENERS: Mapping[tuple[str, bool], Sequence[str]] = {  # by kind, and whether it speaks TLS
+    ("mongo", False): (),
+    ("mongo", True): (
+        f"--port={DATABASE_TLS_PORT}", "--tlsMode=requireTLS", f"--tlsCertificateKeyFile={DATABASE_FOLDER}/tls.pem",
+        f"--tlsCAFile={DATABASE_FOLDER}/{AUTHORITY_FILE}", "--tlsAllowConnectionsWithoutCertificates",
+    ),
+    ("ferretdb", False): (f"--listen-addr=:{DATABASE_PORT}",),
+    ("ferretdb", True): (
+        "--listen-addr=", f"--listen-tls=:{DATABASE_TLS_PORT}", f"--listen-tls-cert-file={DATABASE_FOLDER}/tls.crt",
+        f"--listen-tls-key-file={DATABASE_FOLDER}/tls.key",
+    ),
+}  # fmt: skip
+
+
+def database_files(issued: Issued | None) -> dict[str, str]:
+    """The files of a database that speaks TLS, in each form that one reads; none without a certificate."""
+    if issued is None:
+        return {}
+    pair = issued.pair
+    both = pair.certificate + pair.key
+    return {"tls.crt": pair.certificate, "tls.key": pair.key, "tls.pem": both, AUTHORITY_FILE: issued.authority}
+
+
+def database_pod(
+    name: str, kind: str, image: str, arguments: Sequence[str], agent: str, domain_id: int, tls: bool = False
+) -> HelperPod:
+    """A database as the platform runs it, without a volume claim; Secret `name` has its administrator and, with `tls`,
+    its files."""
+    volumes: list[dict[str, Any]] = [{"name": "data", "emptyDir": {"sizeLimit": "512Mi"}}]
+    mounts: list[dict[str, Any]] = [{"name": "data", "mountPath": "/data/db"}]
+    if tls:
+        files = ("tls.crt", "tls.key", "tls.pem", AUTHORITY_FILE)
+        items = [{"key": file, "path": file} for file in files]
+        volumes.append({"name": "certificate", "secret": {"secretName": name, "defaultMode": 0o440, "items": items}})
+        mounts.append({"name": "certificate", "mountPath": DATABASE_FOLDER, "readOnly": True})
     prefix = "MONGO_INITDB_ROOT" if kind == "mongo" else "FERRETDB_SETUP"
     if kind == "mongo":
         volumes.append({"name": "configdb", "emptyDir": {"sizeLimit": "16Mi"}})
@@ -285,7 +317,11 @@ def database_pod(name: str, kind: str, image: str, arguments: Sequence[str], age
     ]
     return HelperPod(
         name, image, agent, domain_id,
-        arguments=arguments, environment=environment, volumes=volumes, mounts=mounts, port=DATABASE_PORT,
+        arguments=[*arguments, *DATABASE_LISTENERS[kind, tls]],
+        environment=environment,
+        volumes=volumes,
+        mounts=mounts,
+        port=DATABASE_TLS_PORT if tls else DATABASE_PORT,
         memory="1Gi",
     )  # fmt: skip
 

@@ -40,7 +40,7 @@ KEPT_CONFIG_MAPS = frozenset({"kube-root-ca.crt"})
 @dataclass(frozen=True)
 class SuiteNamespaceSettings:
     """One test namespace, and the images that helpers run there; `database_kind` is mongo, ferretdb or empty (there is
-    none). `certify` makes the certificate of its broker; None: that listens in clear text."""
+    none). `certify` makes certificates of its broker and database; None: both listen in clear text."""
 
     namespace: str
     domain_id: int
@@ -75,6 +75,7 @@ class ClusterTestNamespace:
         self._broker: SuiteAccount | None = None
         self._broker_began = ""
         self._database: SuiteAccount | None = None
+        self._authorities: list[str] = []
         self._pods_run = 0
 
     @property
@@ -261,7 +262,7 @@ class ClusterTestNamespace:
         if self._broker is None:
             password = secrets.token_urlsafe(24)
             line = contents.password_line("suite", password, secrets.token_bytes(12))
-            issued = self._settings.certify(BROKER) if self._settings.certify is not None else None
+            issued = self._certified(BROKER)
             files = contents.broker_files(line, issued.pair if issued else None)
             self._api.create("Secret", contents.secret(BROKER, files))
             image = self._settings.broker_image
@@ -273,13 +274,18 @@ class ClusterTestNamespace:
         return self._broker
 
     def _tell(self, broker: SuiteAccount, issued: Issued | None) -> None:
-        """Make what the chart finds in an agent's namespace: the account, and how the broker proves who it is. There is
-        no name service in a test namespace, so the certificate is for a name and the account has an address."""
-        data = {**_account_data(broker), "tls": "off"}
+        """Make what the chart finds in an agent's namespace: the account, and how the broker proves who it is."""
+        self._trust(issued)
+        self._api.create("Secret", contents.secret(BROKER_SECRET, _account_data(broker) | _proof(BROKER, issued)))
+
+    def _certified(self, name: str) -> Issued | None:
+        return self._settings.certify(name) if self._settings.certify is not None else None
+
+    def _trust(self, issued: Issued | None) -> None:
+        """Tell the test namespace who signed, beside whoever did before."""
         if issued:
-            self._api.create("ConfigMap", contents.authorities(issued.authority))
-            data |= {"tls": "required", "server_name": BROKER}
-        self._api.create("Secret", contents.secret(BROKER_SECRET, data))
+            self._authorities.append(issued.authority)
+            self._api.apply(contents.authorities("".join(self._authorities)))
 
     def start_database(self) -> SuiteAccount:
         """Start a database, or the one that runs."""
@@ -290,20 +296,22 @@ class ClusterTestNamespace:
                     "the chart needs a database, and this platform has no image of one to start in a test namespace"
                 )
             administrator = {"username": "administrator", "password": secrets.token_urlsafe(24)}
-            self._api.create("Secret", contents.secret(DATABASE, administrator))
-            host = self._start(
-                contents.database_pod(
-                    DATABASE, settings.database_kind, settings.database_image, settings.database_arguments, self.agent,
-                    self.domain_id,
-                )
+            issued = self._certified(DATABASE)
+            self._api.create("Secret", contents.secret(DATABASE, administrator | contents.database_files(issued)))
+            pod = contents.database_pod(
+                DATABASE, settings.database_kind, settings.database_image, settings.database_arguments, self.agent,
+                self.domain_id, tls=issued is not None,
             )  # fmt: skip
-            name = contents.SUITE_DATABASE
-            port = contents.DATABASE_PORT
-            account = SuiteAccount(name, secrets.token_urlsafe(24), host, port, database=name)
-            self._make_account(SuiteAccount(**administrator, host=host, port=port, database="admin"), account)
+            host, name = self._start(pod), contents.SUITE_DATABASE
+            proof = (DATABASE, issued.authority) if issued else ("", "")
+            account = SuiteAccount(name, secrets.token_urlsafe(24), host, pod.port, name, *proof)
+            who = (administrator["username"], administrator["password"])
+            administrating = SuiteAccount(*who, host, pod.port, "admin", *proof)
+            self._make_account(administrating, account)
             self._database = account
+            self._trust(issued)
             data = {**_account_data(account), "database": name, "authenticationDatabase": name}
-            self._api.create("Secret", contents.secret(DATABASE_SECRET, data))
+            self._api.create("Secret", contents.secret(DATABASE_SECRET, data | _proof(DATABASE, issued)))
         return self._database
 
     def _start(self, pod: HelperPod) -> str:
@@ -377,6 +385,12 @@ def _account_data(account: SuiteAccount) -> dict[str, str]:
         "host": account.host,
         "port": str(account.port),
     }
+
+
+def _proof(name: str, issued: Issued | None) -> dict[str, str]:
+    """How a helper proves who it is: there is no name service in a test namespace, so its certificate is for a name,
+    and the account has an address."""
+    return {"tls": "required", "server_name": name} if issued else {"tls": "off"}
 
 
 def _pod_end(item: Object, gone: bool) -> PodEnd:

@@ -15,7 +15,7 @@ from robotkube.registry.suites.loops.interface_observer import ObserverTimeouts
 from robotkube.registry.suites.ports.suites import SuiteAccount, SuiteNamespace
 
 OBSERVER = ("robotkube-suite-observer",)
-CONFIG = "config.json"
+CONFIG, DATABASE_AUTHORITY = "config.json", "database-ca.crt"
 POD_SECONDS = 30.0
 OBSERVE_SECONDS_MIN = 15.0
 TEXT_CHARACTERS_MAX = 1_500
@@ -76,6 +76,8 @@ class ObserverPod:
             "bounds": asdict(self.bounds),
         }
         files = {CONFIG: json.dumps(config).encode()}
+        if self.database is not None and self.database.authority:
+            files[DATABASE_AUTHORITY] = self.database.authority.encode()
         run = self.test_namespace.run_pod(
             "observer", self.image, OBSERVER, files, seconds + POD_SECONDS, accounts=self.broker
         )
@@ -98,4 +100,6 @@ def _read(log: str) -> Observation:
 def _database(account: SuiteAccount | None) -> Mapping[str, Any] | None:
     if account is None:
         return None
-    return {**asdict(account), "authentication_database": account.database}
+    known = {**asdict(account), "authentication_database": account.database}
+    del known["authority"]  # a file of its own
+    return known

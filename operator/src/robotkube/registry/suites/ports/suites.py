@@ -64,13 +64,16 @@ class Subject:
 @dataclass(frozen=True)
 class SuiteAccount:
     """A throw-away account of a broker or database that was started in the test namespace; also in its
-    Secret `broker-account` or `database-account`, which the chart may mount."""
+    Secret `broker-account` or `database-account`, which the chart may mount. `authority`: the PEM of who signed its
+    certificate, which is for `server_name`; empty: it speaks clear text."""
 
     username: str
     password: str
     host: str
     port: int
     database: str = ""
+    server_name: str = ""
+    authority: str = ""
 
 
 @dataclass(frozen=True)

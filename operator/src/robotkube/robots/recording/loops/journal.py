@@ -175,8 +175,7 @@ class Journal:
             self.failed = f"recording {self._name}: {type(error).__name__}: {error}"
             log.exception("%s", self.failed)
         finally:
-            if self.store is not None:
-                self.store.close()
+            self._close_store()
 
     def finish(self, deadline: float) -> None:
         """Write what waits until `deadline`, and spool the rest."""
@@ -247,6 +246,7 @@ class Journal:
             self._retry_at = self._place.monotonic() + pause
             self._unreachable_since = min(self._unreachable_since, self._place.monotonic())
             self._place.fencing.interrupted()
+            self._close_store()
             self._log_problem(str(error))
         except OSError as error:
             self._log_problem(f"volume claim {self._place.volume}: {error}")
@@ -264,6 +264,12 @@ class Journal:
             raise
         self.store = store
         log.info("recording %s: database reached", self._name)
+
+    def _close_store(self) -> None:
+        """Leave the database: the next try goes by the account as it is then, which may have changed meanwhile."""
+        if self.store is not None:
+            self.store.close()
+            self.store = None
 
     def _recover(self, store: RecordingStore) -> None:
         """Write what earlier processes left: their spool, then the messages of segments that nobody finished."""

@@ -1,0 +1,18 @@
+"""How a server proves who it is, in the settings of a process of the platform (docs/reference/settings.md)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from robotkube.foundation.certificates.adapters.verification import ServerVerification
+from robotkube.foundation.documents.core.reader import Reader
+from robotkube.foundation.runtime import settings_file as files
+
+
+def read_server_verification(reader: Reader, value: Any, path: str, host: str) -> ServerVerification | None:
+    """How the server at `host` proves who it is: `value` names the file of those that may have signed for it. None
+    without such a key: the connection is in clear text."""
+    if value is None:
+        return None
+    return ServerVerification(Path(reader.word(value, path, files.PATH)), host)
