@@ -117,7 +117,7 @@ def test_an_archive_whose_blobs_changed_is_not_bundled(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (b"text", "no bundle"),
+        (b"text", "no OCI layout archive"),
         (None, r"no bundle: its index\.json names 0 lists of contents; make one: make bundle"),
     ],
 )

@@ -19,12 +19,11 @@ from robotkube.errors import InputError
 from robotkube.foundation.documents.core.digests import canonical_json, sha256
 from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.registry.bundles.core.contents import CONTENTS_BYTES_MAX, CONTENTS_TYPE, Contents, read_contents
-from robotkube.registry.charts.adapters.oci import ArchivedBlob
+from robotkube.registry.charts.adapters.oci import CHUNK_BYTES, ArchivedBlob, read_archive
 from robotkube.registry.charts.core.packing import MANIFEST_TYPE
 from robotkube.registry.charts.core.referrers import INDEX_TYPE
 from robotkube.registry.images.adapters.normalising import EPOCH_SECONDS
 
-INDEX_BYTES_MAX = 4 << 20
 MANIFEST_BYTES_MAX = 4 << 20
 BLOBS = "blobs/sha256/"
 
@@ -70,7 +69,7 @@ class Layout:
         part = path.with_name(f"{path.name}.part")
         path.parent.mkdir(parents=True, exist_ok=True)
         index = {"schemaVersion": 2, "mediaType": INDEX_TYPE, "manifests": self.manifests}
-        with tarfile.open(part, "w", format=tarfile.PAX_FORMAT) as out:
+        with tarfile.open(part, "w", format=tarfile.PAX_FORMAT, copybufsize=CHUNK_BYTES) as out:
             _add(out, "oci-layout", canonical_json({"imageLayoutVersion": "1.0.0"}))
             _add(out, "index.json", canonical_json(index))
             for digest, blob in sorted(self.blobs.items()):
@@ -146,7 +145,7 @@ class Bundle:
 
 def read_bundle(path: Path) -> Bundle:
     """The bundle in a file; InputError when it is none, or lacks a part of something that it says it holds."""
-    blobs, index = _read_tar(path)
+    blobs, index = read_archive(path)
     named = [entry for entry in index.get("manifests", ()) if entry.get("artifactType") == CONTENTS_TYPE]
     if len(named) != 1:
         raise InputError(
@@ -166,22 +165,6 @@ def _missing(bundle: Bundle, digests: Iterable[str]) -> set[str]:
     wanted = set(digests)
     present = wanted & bundle.blobs.keys()
     return (wanted - present) | {part for one in present for part in bundle.parts(one) if part not in bundle.blobs}
-
-
-def _read_tar(path: Path) -> tuple[dict[str, ArchivedBlob], dict[str, Any]]:
-    blobs: dict[str, ArchivedBlob] = {}
-    index: dict[str, Any] = {}
-    try:
-        with tarfile.open(path, "r:") as tar:
-            for member in tar:
-                if member.name.startswith(BLOBS):
-                    digest = "sha256:" + member.name.removeprefix(BLOBS)
-                    blobs[digest] = ArchivedBlob(path, member.offset_data, member.size)
-                elif member.name == "index.json" and member.size <= INDEX_BYTES_MAX:
-                    index = read_json(tar.extractfile(member).read())  # type: ignore[union-attr]
-    except (OSError, tarfile.TarError, ValueError) as error:
-        raise InputError(f"{path}: no bundle: {error}") from error
-    return blobs, index
 
 
 def _read(path: Path, blobs: Mapping[str, ArchivedBlob], digest: str, bytes_max: int) -> bytes:
