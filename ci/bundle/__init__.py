@@ -64,7 +64,7 @@ def write(path: Path, images: Sequence[Image], submitted: SubmittedSources, argo
             raise SetUpError(f"{image.archive}: holds {item.digest}, not {image.reference}; build the images again")
     for chart in submitted.charts:
         packed = chart.packed
-        maker.add_chart(packed, kept_envelopes(submitted.evidence, packed.name, packed.version, packed.digest))
+        maker.add_chart(packed, kept_envelopes(submitted.kept, packed.name, packed.version, packed.digest))
     key = evidence.signing_key()
     references = {image.name: image.reference for image in images}
     maker.add_chart(bundled_chart(CHART, references, {f"key-{key.key_id}": key.public_key}), {})

@@ -15,7 +15,8 @@ from robotkube.registry.bundles.core.places import read_place
 FOLDER = Path("build/bundle")
 COLUMNS = ("kind", "name", "version", "digest", "size", "attached")
 MANIFESTS_BYTES_MAX = 64 << 20
-MEGABYTE = 1e6
+EVIDENCE = "evidence: "
+KILOBYTE, MEGABYTE = 1e3, 1e6
 
 
 def choosing(parser: argparse.ArgumentParser) -> None:
@@ -63,9 +64,9 @@ def show_bundle(options: argparse.Namespace) -> Table:
             "name": item.name,
             "version": item.version,
             "digest": item.digest,
-            "size": f"{item.size / MEGABYTE:.1f} MB",
+            "size": _readable(item.size),
             "bytes": item.size,
-            "attached": [one.title for one in item.attached],
+            "attached": [one.title.removeprefix(EVIDENCE) for one in item.attached],
             "attachments": {one.title: one.digest for one in item.attached},
         }
         for item in items
@@ -78,6 +79,10 @@ def show_bundle(options: argparse.Namespace) -> Table:
     if without:
         print(f"robotkube: without evidence: {', '.join(without)}", file=sys.stderr)
     return Table("contents", COLUMNS, rows)
+
+
+def _readable(size: int) -> str:
+    return f"{size / MEGABYTE:.1f} MB" if size >= MEGABYTE else f"{size / KILOBYTE:.0f} kB"
 
 
 def show_manifests(options: argparse.Namespace) -> Table:
