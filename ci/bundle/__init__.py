@@ -24,7 +24,7 @@ from ci.steps import Steps
 from gitops.argocd import render
 from robotkube import VERSION
 from robotkube.registry.bundles.adapters.making import BundleMaker
-from robotkube.registry.bundles.core.contents import Contents
+from robotkube.registry.bundles.core.contents import BundleContents
 from robotkube.registry.charts.core.packing import build_tag
 from robotkube.registry.images.adapters import bills
 from robotkube.registry.publication.adapters import submission_folders
@@ -55,7 +55,7 @@ def make(folder: Path = FOLDER) -> Path:
     return path
 
 
-def write(path: Path, images: Sequence[Image], submitted: SubmittedSources, argocd: tuple[str, str]) -> Contents:
+def write(path: Path, images: Sequence[Image], submitted: SubmittedSources, argocd: tuple[str, str]) -> BundleContents:
     """Write a bundle of these; `argocd` is the version of Argo CD and its objects."""
     maker = BundleMaker(VERSION, REPOSITORY)
     for image in images:
@@ -89,7 +89,7 @@ def kept_envelopes(kept: Mapping[str, str], name: str, version: str, digest: str
     }
 
 
-def warn(contents: Contents) -> None:
+def warn(contents: BundleContents) -> None:
     """Say which charts nobody verified yet."""
     without = [
         f"{item.name} {item.version}" for item in contents.of("chart") if not item.attached and item.name != "robotkube"

@@ -10,12 +10,12 @@ import pytest
 
 from robotkube.errors import InputError
 from robotkube.foundation.documents.core.digests import sha256
-from robotkube.registry.bundles.adapters.accounts import Account, given_account, kept_account
+from robotkube.registry.bundles.adapters.accounts import RegistryAccount, given_account, kept_account
 from robotkube.registry.bundles.adapters.layouts import read_bundle
 from robotkube.registry.bundles.adapters.loading import load_k3s, write_images
 from robotkube.registry.bundles.adapters.making import BundleMaker
 from robotkube.registry.bundles.core.contents import CHART, IMAGE, read_contents, write_contents
-from robotkube.registry.bundles.core.places import Place, read_place
+from robotkube.registry.bundles.core.places import RegistryPlace, read_place
 from robotkube.registry.bundles.loops.comparing import differences
 from robotkube.registry.charts.adapters.oci import OciRegistry, read_layout
 from robotkube.registry.images.adapters.bills import attach_document
@@ -177,7 +177,7 @@ def test_what_is_no_place(text: str) -> None:
 
 def test_places(tmp_path: Path) -> None:
     place = read_place("registry.example:5000/robots/robotkube/")
-    assert place == Place("registry.example:5000", "robots/robotkube")
+    assert place == RegistryPlace("registry.example:5000", "robots/robotkube")
     [item] = [one for one in made(tmp_path).contents.items if one.name == "mqtt-bridge"]
     assert place.reference(item) == f"registry.example:5000/robots/robotkube/charts/mqtt-bridge@{item.digest}"
 
@@ -186,7 +186,7 @@ def test_what_is_missing_in_a_registry_is_named(tmp_path: Path) -> None:
     bundle = made(tmp_path)
     [bridge] = [one for one in bundle.contents.items if one.name == "mqtt-bridge"]
     with running(AskingRegistry(tokens=False)) as asking, OciRegistry(asking.url, "", "") as registry:
-        place = Place(asking.url.removeprefix("http://"), "robots")
+        place = RegistryPlace(asking.url.removeprefix("http://"), "robots")
         assert differences(registry, place, [bridge]) == [
             f"{place}/charts/mqtt-bridge: chart {bridge.digest} is not there"
         ]
@@ -202,15 +202,15 @@ def test_what_is_missing_in_a_registry_is_named(tmp_path: Path) -> None:
 def test_accounts(tmp_path: Path) -> None:
     (tmp_path / "password").write_text("secret\n")
     assert given_account("", None) is None
-    assert given_account("robot", tmp_path / "password") == Account("robot", "secret")
+    assert given_account("robot", tmp_path / "password") == RegistryAccount("robot", "secret")
     with pytest.raises(InputError, match="go together"):
         given_account("robot", None)
     environment = {"DOCKER_CONFIG": str(tmp_path)}
-    assert kept_account("registry.example", environment) == Account()
-    auths = {"registry.example": {"auth": Account("robot", "a:b").encoded}}
+    assert kept_account("registry.example", environment) == RegistryAccount()
+    auths = {"registry.example": {"auth": RegistryAccount("robot", "a:b").encoded}}
     (tmp_path / "config.json").write_text(json.dumps({"auths": auths}))
-    assert kept_account("registry.example", environment) == Account("robot", "a:b")
-    assert kept_account("other.example", environment) == Account()
+    assert kept_account("registry.example", environment) == RegistryAccount("robot", "a:b")
+    assert kept_account("other.example", environment) == RegistryAccount()
     (tmp_path / "config.json").write_text('{"auths": {"registry.example": {"auth": "%"}}}')
     with pytest.raises(InputError, match=r"auths\.registry\.example: cannot be read"):
         kept_account("registry.example", environment)

@@ -16,7 +16,7 @@ from robotkube.cli.output import Table
 from robotkube.registry.bundles.adapters.accounts import given_account, kept_account
 from robotkube.registry.bundles.adapters.oras import Oras, find_oras
 from robotkube.registry.bundles.core.contents import PLATFORM_CHART
-from robotkube.registry.bundles.core.places import Place, read_place
+from robotkube.registry.bundles.core.places import RegistryPlace, read_place
 from robotkube.registry.bundles.loops.comparing import differences
 from robotkube.registry.charts.adapters.oci import OciRegistry
 
@@ -61,6 +61,6 @@ def push_bundle(options: argparse.Namespace) -> Table:
     return Table("pushed", COLUMNS, rows, refusal="; ".join(problems))
 
 
-def _say_next(place: Place, version: str) -> None:
+def _say_next(place: RegistryPlace, version: str) -> None:
     command = f"helm install robotkube oci://{place}/{PLATFORM_CHART} --version {version}"
     print(f"robotkube: {command} --set global.imageRegistry={place} ...", file=sys.stderr)

@@ -18,8 +18,8 @@ from typing import Any
 from robotkube.errors import InputError
 from robotkube.foundation.documents.core.digests import canonical_json, sha256
 from robotkube.foundation.documents.core.json_codec import read_json
-from robotkube.registry.bundles.core.contents import CONTENTS_BYTES_MAX, CONTENTS_TYPE, Contents, read_contents
-from robotkube.registry.charts.adapters.oci import CHUNK_BYTES, ArchivedBlob, read_archive
+from robotkube.registry.bundles.core.contents import CONTENTS_BYTES_MAX, CONTENTS_TYPE, BundleContents, read_contents
+from robotkube.registry.charts.adapters.oci import ArchivedBlob, read_archive
 from robotkube.registry.charts.core.packing import MANIFEST_TYPE
 from robotkube.registry.charts.core.referrers import INDEX_TYPE
 from robotkube.registry.images.adapters.normalising import EPOCH_SECONDS
@@ -69,7 +69,7 @@ class Layout:
         part = path.with_name(f"{path.name}.part")
         path.parent.mkdir(parents=True, exist_ok=True)
         index = {"schemaVersion": 2, "mediaType": INDEX_TYPE, "manifests": self.manifests}
-        with tarfile.open(part, "w", format=tarfile.PAX_FORMAT, copybufsize=CHUNK_BYTES) as out:
+        with tarfile.open(part, "w", format=tarfile.PAX_FORMAT) as out:
             _add(out, "oci-layout", canonical_json({"imageLayoutVersion": "1.0.0"}))
             _add(out, "index.json", canonical_json(index))
             for digest, blob in sorted(self.blobs.items()):
@@ -81,18 +81,21 @@ class _Pieces(io.RawIOBase):
     """A blob as a file that is read once, hashed on its way."""
 
     def __init__(self, blob: Blob) -> None:
-        self._pieces, self._left = chunks(blob), b""
+        self._pieces, self._piece, self._at = chunks(blob), b"", 0
         self.hash = hashlib.sha256()
 
     def read(self, count: int = -1) -> bytes:
-        while len(self._left) < count:
-            piece = next(self._pieces, b"")
-            if not piece:
-                break
-            self._left += piece
-        data, self._left = self._left[:count], self._left[count:]
-        self.hash.update(data)
-        return data
+        parts = []
+        while count > 0:
+            if self._at == len(self._piece):
+                self._piece, self._at = next(self._pieces, b""), 0
+                if not self._piece:
+                    break
+            part = self._piece[self._at : self._at + count]
+            self._at, count = self._at + len(part), count - len(part)
+            self.hash.update(part)
+            parts.append(part)
+        return b"".join(parts)
 
 
 def _add(out: tarfile.TarFile, name: str, blob: Blob, digest: str = "") -> None:
@@ -110,7 +113,7 @@ class Bundle:
     """A bundle on disk: what it says that it holds, where each blob is, and the entry of its list in the index."""
 
     path: Path
-    contents: Contents
+    contents: BundleContents
     blobs: Mapping[str, ArchivedBlob]
     digest: str
 

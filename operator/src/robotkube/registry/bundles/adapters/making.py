@@ -17,7 +17,7 @@ from robotkube.registry.bundles.core.contents import (
     MANIFESTS,
     MANIFESTS_TYPE,
     Attached,
-    Contents,
+    BundleContents,
     Item,
     write_contents,
 )
@@ -70,9 +70,9 @@ class BundleMaker:
         digest = self._document(MANIFESTS_TYPE, text.encode(), f"{name}.yaml")
         return self._named(MANIFESTS, name, version, digest, ())
 
-    def write(self, path: Path) -> Contents:
+    def write(self, path: Path) -> BundleContents:
         """Write the bundle with the list of its contents."""
-        contents = Contents(self._version, self._prefix, tuple(self._items))
+        contents = BundleContents(self._version, self._prefix, tuple(self._items))
         digest = self._document(CONTENTS_TYPE, write_contents(contents), "contents.json")
         self._layout.name(digest, CONTENTS_TYPE, **{NAME: CONTENTS})
         self._layout.write(path)

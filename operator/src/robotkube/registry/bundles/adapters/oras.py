@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from robotkube.errors import InputError, UnavailableError
-from robotkube.registry.bundles.adapters.accounts import Account
+from robotkube.registry.bundles.adapters.accounts import RegistryAccount
 from robotkube.registry.bundles.core.contents import Item
-from robotkube.registry.bundles.core.places import Place
+from robotkube.registry.bundles.core.places import RegistryPlace
 
 PROGRAM = "oras"
 COPY_SECONDS_MAX = 3600  # of one item: an image of 350 MB over a slow line
@@ -28,11 +28,11 @@ class Oras:
     says that the registry speaks HTTP."""
 
     program: str
-    account: Account
+    account: RegistryAccount
     authority: Path | None = None
     plain: bool = False
 
-    def copy(self, bundle: Path, item: Item, place: Place) -> None:
+    def copy(self, bundle: Path, item: Item, place: RegistryPlace) -> None:
         """Copy an item with all that is attached to it. InputError or UnavailableError with the program's words."""
         target = f"{place}/{item.repository}:{item.tag}"
         command = [
@@ -64,7 +64,7 @@ class Oras:
             raise InputError(f"{self.program}: cannot be run: {error.strerror}") from error
 
     @contextmanager
-    def _configuration(self, place: Place) -> Iterator[Path]:
+    def _configuration(self, place: RegistryPlace) -> Iterator[Path]:
         """A file with the account, which no list of processes shows and only this user can read."""
         with tempfile.TemporaryDirectory(prefix="robotkube-bundle-") as folder:
             file = Path(folder) / "config.json"

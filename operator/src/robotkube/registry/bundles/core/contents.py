@@ -57,7 +57,7 @@ class Item:
 
 
 @dataclass(frozen=True)
-class Contents:
+class BundleContents:
     """Everything in a bundle. `prefix` is what its charts and manifests put before the names of images."""
 
     version: str
@@ -83,12 +83,12 @@ class Contents:
             yield from (one.digest for one in item.attached)
 
 
-def write_contents(contents: Contents) -> bytes:
+def write_contents(contents: BundleContents) -> bytes:
     """The one JSON text of a list."""
     return canonical_json({"format": FORMAT, **asdict(contents)})
 
 
-def read_contents(data: bytes, where: str) -> Contents:
+def read_contents(data: bytes, where: str) -> BundleContents:
     """The list in `data`; DocumentError when it is none of this form."""
     try:
         document = read_json(data)
@@ -97,7 +97,7 @@ def read_contents(data: bytes, where: str) -> Contents:
                 where, [f"format: {document['format']!r} is not {FORMAT}; use the program of its version"]
             )
         items = tuple(_item(entry, where) for entry in document["items"])
-        return Contents(str(document["version"]), str(document["prefix"]), items)
+        return BundleContents(str(document["version"]), str(document["prefix"]), items)
     except (ValueError, KeyError, TypeError) as error:
         raise DocumentError(where, [f"no list of a bundle's contents: {error or type(error).__name__}"]) from error
 

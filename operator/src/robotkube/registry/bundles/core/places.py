@@ -12,7 +12,7 @@ _PLACE = re.compile(r"(?P<host>[A-Za-z0-9.-]+(?::\d{1,5})?)/(?P<path>[a-z0-9]+(?
 
 
 @dataclass(frozen=True)
-class Place:
+class RegistryPlace:
     """`host` with a port where it has one, and the `path` below which everything goes."""
 
     host: str
@@ -30,9 +30,9 @@ class Place:
         return f"{self}/{item.repository}@{item.digest}"
 
 
-def read_place(text: str) -> Place:
+def read_place(text: str) -> RegistryPlace:
     """The place that a person wrote; InputError says how to write one."""
     match = _PLACE.fullmatch(text.removesuffix("/"))
     if match is None:
         raise InputError(f"--to {text}: write HOST/PATH in lower case, such as registry.example.com/robots/robotkube")
-    return Place(match["host"], match["path"])
+    return RegistryPlace(match["host"], match["path"])

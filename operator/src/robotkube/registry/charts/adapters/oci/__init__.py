@@ -2,7 +2,6 @@
 attached to them."""
 
 from robotkube.registry.charts.adapters.oci.image_layouts import (
-    CHUNK_BYTES,
     ArchivedBlob,
     read_archive,
     read_image_manifest,
@@ -10,4 +9,4 @@ from robotkube.registry.charts.adapters.oci.image_layouts import (
 )
 from robotkube.registry.charts.adapters.oci.oci_registry import OciRegistry
 
-__all__ = ["CHUNK_BYTES", "ArchivedBlob", "OciRegistry", "read_archive", "read_image_manifest", "read_layout"]
+__all__ = ["ArchivedBlob", "OciRegistry", "read_archive", "read_image_manifest", "read_layout"]

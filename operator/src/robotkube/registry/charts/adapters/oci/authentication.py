@@ -72,13 +72,13 @@ class RegistryAuthentication:
 
     def _is_registry(self, request: httpx.Request) -> bool:
         base = self._client.base_url
-        return (request.url.scheme, request.url.netloc) == (base.scheme, base.netloc)
+        return bool((request.url.scheme, request.url.netloc) == (base.scheme, base.netloc))
 
     def _fetch(self, challenge: Challenge, scope: str, wanted: str) -> _Token:
         """A token for the scopes in `wanted`, kept for requests of `scope`."""
         realm = self._realm(challenge)
-        question = [("service", challenge.parameters["service"])] if "service" in challenge.parameters else []
-        question += [("scope", one) for one in wanted.split()]
+        question: dict[str, str | list[str]] = {"scope": wanted.split()}
+        question |= {"service": challenge.parameters["service"]} if "service" in challenge.parameters else {}
         headers = {HEADER: self._account} if self._account else {}
         document = self._ask(realm.copy_merge_params(question), headers)
         text = document.get("token") or document.get("access_token")
