@@ -65,14 +65,15 @@ class RegistryAuthentication:
             return False
         self._asked = challenge
         if challenge.scheme == BASIC:
-            return request.headers.get(HEADER) != self._account
+            shown: str | None = request.headers.get(HEADER)
+            return shown != self._account
         scope = scope_of(request.method, request.url.path)
         self._fetch(challenge, scope, challenge.parameters.get("scope") or scope)
         return True
 
     def _is_registry(self, request: httpx.Request) -> bool:
         base = self._client.base_url
-        return bool((request.url.scheme, request.url.netloc) == (base.scheme, base.netloc))
+        return (request.url.scheme, request.url.netloc) == (base.scheme, base.netloc)
 
     def _fetch(self, challenge: Challenge, scope: str, wanted: str) -> _Token:
         """A token for the scopes in `wanted`, kept for requests of `scope`."""
