@@ -22,7 +22,7 @@ DESCRIBED = ("robotkube", *sorted(f"apps/{path.parent.name}" for path in CHARTS.
 BEGIN, END = "<!-- written by `make reference`: begin -->", "<!-- end -->"
 ELSEWHERE = {"detector.rules[]": "docs/reference/rules.md"}
 """Lists whose items have a page of their own."""
-SILENT = ("robotkube-app", "global")
+SILENT = ("robotkube-app", "global.plan")
 VALUES_HEAD = ("| value | default | meaning |", "| --- | --- | --- |")
 UP = "<top>/"
 FORMS_HEAD = ("", "Forms that several values share:", "", "| form | meaning |", "| --- | --- |")

@@ -30,7 +30,7 @@ namespaces:
   others: {{ $inspection.otherNamespaces }}
 images:
 {{- $images := list }}
-{{- range $reference := .Values.images }}{{ if $reference }}{{ $images = append $images $reference }}{{ end }}{{ end }}
+{{- range $name, $reference := .Values.images }}{{ if $reference }}{{ $images = append $images (include "robotkube.image" (dict "root" $ "name" $name)) }}{{ end }}{{ end }}
 {{- range concat $images $inspection.images | uniq | sortAlpha }}
 - {{ . }}
 {{- end }}

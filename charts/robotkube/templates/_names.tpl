@@ -32,6 +32,14 @@ app.kubernetes.io/name: {{ .name | default .component }}
 app.kubernetes.io/instance: {{ .root.Release.Name }}
 {{- end }}
 
+{{- /* The reference of an image of the values, by the name that it has there; with global.imageRegistry what stands before its last
+       slash is that instead. Arguments: {root, name}. */ -}}
+{{- define "robotkube.image" -}}
+{{- $reference := index .root.Values.images .name | default "" -}}
+{{- $registry := dig "imageRegistry" "" (.root.Values.global | default dict) -}}
+{{- if and $registry $reference }}{{ trimSuffix "/" $registry }}/{{ regexReplaceAll "^.*/" $reference "" }}{{ else }}{{ $reference }}{{ end -}}
+{{- end }}
+
 {{- /* The tag of an image, else the first 12 digits of its digest, as a label. Argument: the reference. */ -}}
 {{- define "robotkube.imageVersion" -}}
 {{- $tag := regexReplaceAll "@.*$" . "" | regexFind ":[^:/]+$" | trimPrefix ":" -}}

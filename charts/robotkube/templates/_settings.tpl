@@ -185,13 +185,13 @@ test_namespaces:
 - {namespace: {{ include "robotkube.testNamespace" $i }}, domain_id: {{ add 90 $i }}}
 {{- end }}
 images:
-  observer: {{ .Values.images.ros }}
-  broker: {{ .Values.images.mosquitto }}
+  observer: {{ include "robotkube.image" (dict "root" . "name" "ros") }}
+  broker: {{ include "robotkube.image" (dict "root" . "name" "mosquitto") }}
 {{- if eq .Values.database.kind "external" }}
   database: ""
 database: {kind: "", arguments: []}         # none: charts that name a database account are refused
 {{- else }}
-  database: {{ index .Values.images .Values.database.kind }}
+  database: {{ include "robotkube.image" (dict "root" . "name" .Values.database.kind) }}
 database:
   kind: {{ .Values.database.kind }}
   arguments: {{ toJson .Values.database.arguments }}

@@ -3,7 +3,7 @@
 backoffLimit: 6
 template:
   metadata:
-    labels: {{- include "robotkube.podLabels" (dict "root" . "component" "gate-key" "image" .Values.images.platform "values" .Values.gate) | nindent 6 }}
+    labels: {{- include "robotkube.podLabels" (dict "root" . "component" "gate-key" "image" (include "robotkube.image" (dict "root" . "name" "platform")) "values" .Values.gate) | nindent 6 }}
     annotations:
       {{- include "robotkube.settingsAnnotation" (dict "root" . "component" "gateKey") | nindent 6 }}
       {{- with .Values.gate.podAnnotations }}
@@ -17,7 +17,7 @@ template:
     {{- include "robotkube.pod" (dict "root" . "values" .Values.gate) | nindent 4 }}
     containers:
     - name: gate-key
-      image: {{ .Values.images.platform }}
+      image: {{ include "robotkube.image" (dict "root" . "name" "platform") }}
       command: [robotkube-gate-key]
       {{- include "robotkube.processEnvironment" . | nindent 6 }}
       {{- with .Values.gate.extraEnv }}

@@ -277,6 +277,33 @@ COMMANDS = (
         "push",
         "choosing",
     ),
+    Command(
+        "bundle", "show", "what a bundle holds: the platform in one file", "bundles.reading", "show_bundle", "showing"
+    ),
+    Command(
+        "bundle",
+        "push",
+        "copy a bundle to an OCI registry, every digest as it is",
+        "bundles.pushing",
+        "push_bundle",
+        "pushing",
+    ),
+    Command(
+        "bundle",
+        "load",
+        "bring a bundle's images to a kind cluster, k3s or containerd, without a registry",
+        "bundles.loading",
+        "load_bundle",
+        "loading",
+    ),
+    Command(
+        "bundle",
+        "manifests",
+        "Argo CD's objects of a bundle, to apply",
+        "bundles.reading",
+        "show_manifests",
+        "printing",
+    ),
     Command("version", "", "versions of this program and of the platform", "versions", "show_versions", "asking"),
     Command("completion", "", "completion of commands in a shell", "completion", "complete", "naming"),
 )

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import ssl
 from pathlib import Path
 
 import httpx
 
 from robotkube.delivery.preflight.core.findings import without_accounts
 from robotkube.delivery.preflight.core.registries import HUB, HUB_API, RegistryAnswer
-from robotkube.errors import InputError
+from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
 
 SECONDS_MAX = 4.0
 API_HEADER, API = "Docker-Distribution-Api-Version", "registry/2.0"
@@ -20,12 +19,7 @@ class RegistryQuestions:
     """Asks registries by HTTPS, and believes the usual authorities and that of the file `authority`."""
 
     def __init__(self, authority: Path | None = None) -> None:
-        self._context = httpx.create_ssl_context(trust_env=False)
-        if authority is not None:
-            try:
-                self._context.load_verify_locations(cafile=authority)
-            except (OSError, ssl.SSLError) as error:
-                raise InputError(f"{authority}: no certificate of an authority as PEM ({error})") from error
+        self._context = certificate_authorities(trust_env=False, more=authority)
 
     def ask(self, host: str) -> RegistryAnswer:
         """What the registry at a host says."""

@@ -23,14 +23,18 @@ LOCAL = "file://"
 IMAGES_ANNOTATION = "robotkube.io/images"  # in Chart.yaml: names of the images it runs, separated by spaces
 
 
-def pack(folder: Path, images: Mapping[str, str], spec: Mapping[str, Any] | None = None) -> PackedChart:
+def pack(
+    folder: Path, images: Mapping[str, str], spec: Mapping[str, Any] | None = None, hidden: bool = False
+) -> PackedChart:
     """Pack the chart in `folder`; `images` maps image names to references (`repository@sha256:...`), empty to leave
-    images.yaml out; `spec` is that of its catalogue entry, without one the chart cannot be published.
+    images.yaml out; `spec` is that of its catalogue entry, without one the chart cannot be published. `hidden`: whether
+    it may have hidden files, which Argo CD would read in its own way; only a chart that people install may.
 
-    Raises DocumentError, naming the file, for hidden files, links, an unreadable Chart.yaml and missing library charts.
+    Raises DocumentError, naming the file, for other hidden files, links, an unreadable Chart.yaml and missing library
+    charts.
     """
     metadata = _metadata(folder)
-    files = _own_files(folder, _libraries(folder, metadata).keys())
+    files = _own_files(folder, _libraries(folder, metadata).keys(), hidden)
     for name, library in _libraries(folder, metadata).items():
         files |= {f"charts/{name}/{path}": data for path, data in _library_files(folder, name, library).items()}
     if images:
@@ -97,7 +101,7 @@ def _library_files(folder: Path, name: str, library: Path) -> dict[str, bytes]:
     return _own_files(library, ())
 
 
-def _own_files(folder: Path, libraries: Any) -> dict[str, bytes]:
+def _own_files(folder: Path, libraries: Any, hidden: bool = False) -> dict[str, bytes]:
     """The files of the folder itself; `charts/<library>` is left out, because the library's own folder is what
     counts."""
     problems = []
@@ -111,7 +115,7 @@ def _own_files(folder: Path, libraries: Any) -> dict[str, bytes]:
             problems.append(
                 f"{relative}: a link; an archive holds files, put a copy there or name a dependency with file://"
             )
-        elif any(part.startswith(".") for part in relative.split("/")):
+        elif not hidden and any(part.startswith(".") for part in relative.split("/")):
             problems.append(f"{relative}: a hidden file; remove it or list it in {IGNORE_FILE}")
         else:
             files[relative] = path.read_bytes()

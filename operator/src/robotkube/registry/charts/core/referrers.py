@@ -1,7 +1,8 @@
 """Artefacts attached to a manifest in an OCI registry, as documents (distribution specification 1.1).
 
-An artefact is a manifest of its own with a `subject`. Registries without the referrers endpoint list them in an index
-under a tag made of the subject's digest (the specification's fallback), which its writers have to keep themselves.
+An artefact is a manifest of its own with a `subject`. Registries list them by the referrers endpoint; for those without
+it, they are listed in an index under a tag made of the subject's digest (the specification's fallback), which its
+writers have to keep themselves.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ ARTEFACT_BYTES_MAX = 8 * 1024 * 1024
 ATTACHED_BYTES_MAX = 32 * 1024 * 1024  # read at once: whoever may push could fill the reader's memory
 ARTEFACT_MANIFEST_BYTES_MAX = 64 * 1024
 ARTEFACTS_MAX = 256  # of one subject: a set per policy it was verified under
+PAGES_MAX = 16  # of the registry's own list of them
 
 Entry = Mapping[str, Any]
 """A descriptor of an artefact in the index: mediaType, digest, size, artifactType, annotations."""
@@ -71,6 +73,14 @@ def read_index(index: bytes | None, where: str) -> list[Entry]:
     for value in manifests:
         read_descriptor(value, where, ARTEFACT_MANIFEST_BYTES_MAX)
     return manifests
+
+
+def read_pages(pages: Sequence[bytes], where: str) -> list[Entry]:
+    """The lines of the list that the registry keeps itself, page after page; DocumentError as for an index."""
+    entries = [entry for page in pages for entry in read_index(page, where)]
+    if len(entries) > ARTEFACTS_MAX:
+        raise DocumentError(where, [f"more than {ARTEFACTS_MAX} artefacts are attached"])
+    return entries
 
 
 def extended(entries: Sequence[Entry], more: Sequence[Entry], where: str) -> bytes | None:

@@ -33,6 +33,11 @@ CHECKS_MAX = 500
 Outcome = Literal["passed", "failed", "unfinished"]
 
 
+def attachment_annotations(name: str) -> dict[str, str]:
+    """What the artefact of an envelope says about itself; `name` is a suite's, or that of the summary."""
+    return {SUITE_ANNOTATION: name, PREDICATE_ANNOTATION: SUMMARY_PREDICATE if name == SUMMARY else SUITE_PREDICATE}
+
+
 @dataclass(frozen=True)
 class Check:
     """One check of a suite. A failed one says what was `found` and how to `fix` it, in plain words."""

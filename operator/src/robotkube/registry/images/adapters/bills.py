@@ -69,8 +69,12 @@ def attach_bill(registry: Attaching, repository: str, digest: str, archive: Path
 
 def attach_document(registry: Attaching, repository: str, digest: str, bill: bytes) -> str:
     """Attach `bill` to the image `digest`; the digest of the attached artefact."""
-    title = {"org.opencontainers.image.title": f"bill of materials of {repository.rpartition('/')[2]}"}
-    return registry.attach(repository, digest, BILL_TYPE, bill, title)
+    return registry.attach(repository, digest, BILL_TYPE, bill, bill_annotations(repository.rpartition("/")[2]))
+
+
+def bill_annotations(image: str) -> dict[str, str]:
+    """What the artefact of a bill says about itself: the same for the same image wherever it is."""
+    return {"org.opencontainers.image.title": f"bill of materials of {image}"}
 
 
 def ensure_bill(archive: Path, name: str, digest: str, ground: Path | None = None) -> Path:

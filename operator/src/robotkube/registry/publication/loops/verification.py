@@ -15,14 +15,12 @@ from robotkube.foundation.documents.core.digests import sha256
 from robotkube.registry.charts.ports import ChartRegistry
 from robotkube.registry.evidence.core.statements import (
     ENVELOPE_MEDIA_TYPE,
-    PREDICATE_ANNOTATION,
-    SUITE_ANNOTATION,
-    SUITE_PREDICATE,
     SUMMARY_PREDICATE,
     Check,
     SuiteResult,
     VerifiedStatement,
     assess,
+    attachment_annotations,
     suite_problems,
     suite_statement,
     summary_statement,
@@ -218,10 +216,10 @@ class ChartVerification:
 
     def _attach(self, underway: ChartInProgress, name: str, envelope: bytes) -> str:
         chart = underway.chart
-        predicate = SUMMARY_PREDICATE if name == SUMMARY else SUITE_PREDICATE
-        annotations = {SUITE_ANNOTATION: name, PREDICATE_ANNOTATION: predicate}
         repository = f"{self._settings.staging}/{chart.chart}"
-        return self._oci_registry.attach(repository, chart.digest, ENVELOPE_MEDIA_TYPE, envelope, annotations)
+        return self._oci_registry.attach(
+            repository, chart.digest, ENVELOPE_MEDIA_TYPE, envelope, attachment_annotations(name)
+        )
 
 
 def _checked(rule: SuiteRule, result: SuiteResult) -> SuiteResult:

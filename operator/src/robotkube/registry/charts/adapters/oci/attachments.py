@@ -1,6 +1,7 @@
-"""Artefacts attached to a manifest, listed in the index under the specification's fallback tag.
+"""Artefacts attached to a manifest, listed by the registry's referrers API, or without one in the index under the
+specification's fallback tag.
 
-The index is read, extended and written back. That happens under a lock, and what was written is read again: another
+That index is read, extended and written back. That happens under a lock, and what was written is read again: another
 writer that does not know the lock may have come between.
 """
 
@@ -92,26 +93,54 @@ class Attachments:
         return manifest
 
     def _entries(self, repository: str, subject: str) -> list[referrers.Entry]:
+        kept = self._kept(repository, subject)
+        return self._indexed(repository, subject) if kept is None else kept
+
+    def _kept(self, repository: str, subject: str) -> list[referrers.Entry] | None:
+        """What the registry itself lists; None when it lists nothing by itself."""
+        pages = self._connection.referrers(repository, subject)
+        return None if pages is None else referrers.read_pages(pages, f"referrers of {repository}@{subject}")
+
+    def _indexed(self, repository: str, subject: str) -> list[referrers.Entry]:
         tag = referrers.fallback_tag(subject)
         index = self._connection.manifest(repository, tag, MANIFEST_BYTES_MAX)
         return referrers.read_index(index, f"index {repository}:{tag}")
 
     def _list(self, repository: str, subject: str, manifests: Sequence[bytes]) -> None:
-        """Write the artefacts and have them all in the index of `subject`."""
+        """Write the artefacts and have them all in the list of `subject`: the registry's own, or else the index."""
+        kept = self._kept(repository, subject)
+        if kept is None:
+            self._index(repository, subject, manifests)
+            return
+        self._write(repository, manifests, {entry["digest"] for entry in kept})
+        missing = {sha256(one) for one in manifests} - {entry["digest"] for entry in self._entries(repository, subject)}
+        if missing:
+            raise UnavailableError(
+                f"registry {self._connection.url}: {repository}@{subject}: its referrers lack {min(missing)}, which "
+                "was pushed; try again"
+            )
+
+    def _index(self, repository: str, subject: str, manifests: Sequence[bytes]) -> None:
         tag = referrers.fallback_tag(subject)
         where = f"index {repository}:{tag}"
         lines = [referrers.entry_of(manifest, where) for manifest in manifests]
         with self._lock:
             for attempt in range(INDEX_TRIES_MAX):
-                index = referrers.extended(self._entries(repository, subject), lines, where)
+                index = referrers.extended(self._indexed(repository, subject), lines, where)
                 if index is None:
                     return
                 if not attempt:
                     for manifest in manifests:
                         self._put(repository, manifest)
                 self._connection.put_manifest(repository, tag, index)
-        if referrers.extended(self._entries(repository, subject), lines, where) is not None:
+        if referrers.extended(self._indexed(repository, subject), lines, where) is not None:
             raise UnavailableError(f"{where}: others kept changing it; {INDEX_TRIES_MAX} tries")
+
+    def _write(self, repository: str, manifests: Sequence[bytes], listed: Collection[str]) -> None:
+        """Push those that the registry does not list, also where it has them: from before it kept lists."""
+        for manifest in manifests:
+            if sha256(manifest) not in listed:
+                self._connection.put_manifest(repository, sha256(manifest), manifest)
 
     def _put(self, repository: str, manifest: bytes) -> None:
         digest = sha256(manifest)

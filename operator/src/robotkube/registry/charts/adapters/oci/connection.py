@@ -1,4 +1,4 @@
-"""The calls of the distribution specification: manifests and blobs, bounded, with basic authentication.
+"""The calls of the distribution specification: manifests, blobs and referrers, bounded, as the account that is given.
 
 Tags are never replaced: registries like Gitea delete the manifest a tag pointed to when another is written to it, and
 releases that pin its digest would not find it again.
@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -16,31 +18,36 @@ from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.documents.core.digests import sha256
 from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
+from robotkube.registry.charts.adapters.oci.authentication import RegistryAuthentication
 from robotkube.registry.charts.core.packing import MANIFEST_TYPE
-from robotkube.registry.charts.core.referrers import INDEX_TYPE
+from robotkube.registry.charts.core.referrers import INDEX_TYPE, PAGES_MAX
 
 TIMEOUT = httpx.Timeout(30.0, write=120.0, read=120.0)
 MANIFEST_BYTES_MAX = 4 << 20
 PIECE_BYTES = 1 << 20
 TEXT_CHARACTERS_MAX = 300  # of a registry's answer in a message
 READING = {"Accept": f"{MANIFEST_TYPE}, {INDEX_TYPE}", "Accept-Encoding": "identity"}
+NO_REFERRERS = (httpx.codes.NOT_FOUND, httpx.codes.METHOD_NOT_ALLOWED, httpx.codes.NOT_IMPLEMENTED)
 
 
 class RegistryConnection:
     """One registry; `url` is `http(s)://host:port`. Several threads may use it."""
 
-    def __init__(self, url: str, user: str, password: str, seconds: float | None = None) -> None:
-        """`seconds`: how long one connection, read or write may take, where TIMEOUT is too long."""
-        auth = httpx.BasicAuth(user, password) if user else None
+    def __init__(
+        self, url: str, user: str, password: str, seconds: float | None = None, authority: Path | None = None
+    ) -> None:
+        """`seconds`: how long one connection, read or write may take, where TIMEOUT is too long. `authority`: file with
+        an authority that is believed beside the usual ones."""
         self.url = url.rstrip("/")
         self._user = user
         self._client = httpx.Client(
             base_url=f"{self.url}/v2/",
-            auth=auth,
-            verify=certificate_authorities(trust_env=False),
+            verify=certificate_authorities(trust_env=False, more=authority),
             timeout=seconds or TIMEOUT,
             trust_env=False,
         )
+        self._authentication = RegistryAuthentication(self._client, user, password)
+        self._lists_referrers = True  # until it says that it has no such list
         self._held: dict[str, str] = {}  # blob digest -> a repository of this registry that has it
 
     def disconnect(self) -> None:
@@ -73,7 +80,7 @@ class RegistryConnection:
         path = f"{repository}/blobs/{digest}"
         hashed, size = hashlib.sha256(), 0
         try:
-            with self._client.stream("GET", path, headers=READING, follow_redirects=True) as answer:
+            with closing(self._stream(path)) as answer:
                 if answer.status_code != httpx.codes.OK:
                     answer.read()
                     self._expect(answer, what, httpx.codes.OK)
@@ -108,6 +115,26 @@ class RegistryConnection:
             )
         return present is not None
 
+    def referrers(self, repository: str, subject: str) -> list[bytes] | None:
+        """The index of what is attached to `subject`, in pages, as the registry keeps it; None when it keeps none, so
+        that its writers do, under the fallback tag."""
+        pages: list[bytes] = []
+        path = f"{repository}/referrers/{subject}"
+        what = f"referrers of {repository}@{subject}"
+        while path and self._lists_referrers:
+            try:
+                with closing(self._stream(path)) as answer:
+                    if answer.status_code in NO_REFERRERS and not pages:
+                        self._lists_referrers = False
+                        return None
+                    pages.append(self._body(answer, what, MANIFEST_BYTES_MAX))
+                    path = _next_page(answer)
+            except httpx.HTTPError as error:
+                raise self._unavailable("GET", path, error) from error
+            if path and len(pages) == PAGES_MAX:
+                raise InputError(f"OCI registry {self.url}: {what}: more than {PAGES_MAX} pages; they are not read")
+        return pages or None
+
     def put_manifest(self, repository: str, reference: str, manifest: bytes) -> None:
         """Write a manifest or index under a tag or its digest."""
         kind = read_json(manifest).get("mediaType", MANIFEST_TYPE)
@@ -137,17 +164,17 @@ class RegistryConnection:
     def _fetch(self, path: str, what: str, bytes_max: int) -> bytes | None:
         """The body of at most `bytes_max` bytes; None when there is nothing."""
         try:
-            with self._client.stream("GET", path, headers=READING, follow_redirects=True) as answer:
+            with closing(self._stream(path)) as answer:
                 if answer.status_code == httpx.codes.NOT_FOUND:
                     return None
-                if answer.status_code != httpx.codes.OK:
-                    answer.read()
-                    self._expect(answer, what, httpx.codes.OK)
-                return self._bounded(answer, what, bytes_max)
+                return self._body(answer, what, bytes_max)
         except httpx.HTTPError as error:
             raise self._unavailable("GET", path, error) from error
 
-    def _bounded(self, answer: httpx.Response, what: str, bytes_max: int) -> bytes:
+    def _body(self, answer: httpx.Response, what: str, bytes_max: int) -> bytes:
+        if answer.status_code != httpx.codes.OK:
+            answer.read()
+            self._expect(answer, what, httpx.codes.OK)
         data = bytearray()
         for chunk in answer.iter_raw():
             data += chunk
@@ -177,9 +204,26 @@ class RegistryConnection:
 
     def _call(self, method: str, path: str, **more: Any) -> httpx.Response:
         try:
-            return self._client.request(method, path, **more)
+            return self._send(method, path, **more)
         except httpx.HTTPError as error:
             raise self._unavailable(method, path, error) from error
+
+    def _stream(self, path: str) -> httpx.Response:
+        """An answer that is not read yet."""
+        return self._send("GET", path, stream=True, headers=READING)
+
+    def _send(self, method: str, path: str, stream: bool = False, **more: Any) -> httpx.Response:
+        """The answer, as whom the registry wants to see; a body that can be read once only is sent once only."""
+        for last in (isinstance(more.get("content"), Iterator), True):
+            request = self._client.build_request(method, path, **more)
+            self._authentication.authorise(request)
+            answer = self._client.send(request, stream=stream, follow_redirects=stream)
+            if last or answer.status_code != httpx.codes.UNAUTHORIZED:
+                break
+            if not self._authentication.learn(request, answer):
+                break
+            answer.close()
+        return answer
 
     def _unavailable(self, method: str, path: str, error: httpx.HTTPError) -> UnavailableError:
         reason = error or type(error).__name__
@@ -199,3 +243,9 @@ class RegistryConnection:
         raise InputError(
             f"OCI registry {self.url}: {what}: answered {answer.status_code}, expected {int(code)}: {text}"
         )
+
+
+def _next_page(answer: httpx.Response) -> str:
+    """The address of the page that follows; empty after the last one."""
+    link = answer.links.get("next", {}).get("url")
+    return str(answer.url.join(link)) if link else ""

@@ -58,9 +58,8 @@ def _is_described(part: Mapping[str, Any]) -> bool:
     return DIGEST.fullmatch(part["digest"]) is not None and type(size) is int and size >= 0
 
 
-def read_layout(archive: Path) -> tuple[dict[str, ArchivedBlob], str]:
-    """The blobs of an OCI layout archive by digest, and the digest of its one image. Raises InputError if it is not
-    such an archive."""
+def read_archive(archive: Path) -> tuple[dict[str, ArchivedBlob], dict[str, Any]]:
+    """The blobs of an OCI layout archive by digest, and its index. Raises InputError if it is not such an archive."""
     blobs: dict[str, ArchivedBlob] = {}
     index: dict[str, Any] = {}
     try:
@@ -73,6 +72,13 @@ def read_layout(archive: Path) -> tuple[dict[str, ArchivedBlob], str]:
                     index = read_json(tar.extractfile(member).read())  # type: ignore[union-attr]
     except (OSError, tarfile.TarError, ValueError) as error:
         raise InputError(f"{archive}: no OCI layout archive: {error}") from error
+    return blobs, index
+
+
+def read_layout(archive: Path) -> tuple[dict[str, ArchivedBlob], str]:
+    """The blobs of an OCI layout archive by digest, and the digest of its one image. Raises InputError if it is not
+    such an archive."""
+    blobs, index = read_archive(archive)
     named = [entry["digest"] for entry in index.get("manifests", ())]
     if len(named) != 1 or named[0] not in blobs:
         raise InputError(

@@ -27,7 +27,9 @@ class OciRegistry:
     """A client of one OCI registry, port ChartRegistry; `url` is `http(s)://host:port`. Several threads may use it.
 
     `lock` is held while a list of attachments is changed: all clients of one process that attach share one. A version
-    is never replaced. `seconds` bounds each connection, read and write more tightly than RegistryConnection does."""
+    is never replaced. `seconds` bounds each connection, read and write more tightly than RegistryConnection does;
+    `authority` is a file with a certificate authority that is believed beside the usual ones. With a password or
+    without: the registry says what it wants to see, the account itself or a token for it."""
 
     def __init__(
         self,
@@ -36,8 +38,9 @@ class OciRegistry:
         password: str,
         lock: AbstractContextManager[Any] | None = None,
         seconds: float | None = None,
+        authority: Path | None = None,
     ) -> None:
-        self._connection = RegistryConnection(url, user, password, seconds)
+        self._connection = RegistryConnection(url, user, password, seconds, authority)
         self._attachments = Attachments(self._connection, lock or threading.Lock())
 
     def __enter__(self) -> Self:

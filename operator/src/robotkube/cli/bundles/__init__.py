@@ -1,0 +1,1 @@
+"""Commands about bundles: the platform in one file."""

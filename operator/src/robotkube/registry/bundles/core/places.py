@@ -1,0 +1,38 @@
+"""Where a bundle goes: a registry and a path of it, as people write them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from robotkube.errors import InputError
+from robotkube.registry.bundles.core.contents import Item
+
+_PLACE = re.compile(r"(?P<host>[A-Za-z0-9.-]+(?::\d{1,5})?)/(?P<path>[a-z0-9]+(?:[._/-]+[a-z0-9]+)*)")
+
+
+@dataclass(frozen=True)
+class RegistryPlace:
+    """`host` with a port where it has one, and the `path` below which everything goes."""
+
+    host: str
+    path: str
+
+    def __str__(self) -> str:
+        return f"{self.host}/{self.path}"
+
+    def repository(self, item: Item) -> str:
+        """The repository of an item, without the host."""
+        return f"{self.path}/{item.repository}"
+
+    def reference(self, item: Item) -> str:
+        """An item by its digest."""
+        return f"{self}/{item.repository}@{item.digest}"
+
+
+def read_place(text: str) -> RegistryPlace:
+    """The place that a person wrote; InputError says how to write one."""
+    match = _PLACE.fullmatch(text.removesuffix("/"))
+    if match is None:
+        raise InputError(f"--to {text}: write HOST/PATH in lower case, such as registry.example.com/robots/robotkube")
+    return RegistryPlace(match["host"], match["path"])
