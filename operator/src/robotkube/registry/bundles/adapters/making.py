@@ -18,7 +18,7 @@ from robotkube.registry.bundles.core.contents import (
     MANIFESTS_TYPE,
     Attached,
     BundleContents,
-    Item,
+    BundleItem,
     write_contents,
 )
 from robotkube.registry.charts.adapters.oci import read_layout
@@ -38,9 +38,9 @@ class BundleMaker:
     def __init__(self, version: str, prefix: str) -> None:
         self._version, self._prefix = version, prefix
         self._layout = Layout()
-        self._items: list[Item] = []
+        self._items: list[BundleItem] = []
 
-    def add_image(self, name: str, archive: Path, bill: Path, ground: Path | None = None) -> Item:
+    def add_image(self, name: str, archive: Path, bill: Path, ground: Path | None = None) -> BundleItem:
         """The image of an OCI layout archive; layers that are not in it are in that of `ground`."""
         own, digest = read_layout(archive)
         blobs = {**read_layout(ground)[0], **own} if ground else own
@@ -53,7 +53,7 @@ class BundleMaker:
         attached = self._attach(digest, BILL_TYPE, bill.read_bytes(), bill_annotations(name))
         return self._named(IMAGE, name, self._version, digest, (attached,))
 
-    def add_chart(self, chart: PackedChart, evidence: Mapping[str, bytes]) -> Item:
+    def add_chart(self, chart: PackedChart, evidence: Mapping[str, bytes]) -> BundleItem:
         """A chart; `evidence`: suite (or `summary`) -> its envelope."""
         for blob in (chart.config, chart.archive, chart.manifest):
             self._layout.add(blob)
@@ -65,7 +65,7 @@ class BundleMaker:
         ]
         return self._named(CHART, chart.name, chart.version, chart.digest, tuple(attached))
 
-    def add_manifests(self, name: str, version: str, text: str) -> Item:
+    def add_manifests(self, name: str, version: str, text: str) -> BundleItem:
         """Kubernetes objects as YAML."""
         digest = self._document(MANIFESTS_TYPE, text.encode(), f"{name}.yaml")
         return self._named(MANIFESTS, name, version, digest, ())
@@ -78,11 +78,11 @@ class BundleMaker:
         self._layout.write(path)
         return contents
 
-    def _named(self, kind: str, name: str, version: str, digest: str, attached: tuple[Attached, ...]) -> Item:
+    def _named(self, kind: str, name: str, version: str, digest: str, attached: tuple[Attached, ...]) -> BundleItem:
         manifest = read_json(b"".join(chunks(self._layout.blobs[digest])))
         parts = {digest: size(self._layout.blobs[digest])}
         parts |= {part["digest"]: part["size"] for part in (manifest["config"], *manifest["layers"])}
-        item = Item(kind, name, version, digest, sum(parts.values()), attached)
+        item = BundleItem(kind, name, version, digest, sum(parts.values()), attached)
         self._layout.name(digest, **{NAME: f"{item.repository}:{item.tag}"})
         for one in attached:
             self._layout.name(one.digest, one.artifact_type)

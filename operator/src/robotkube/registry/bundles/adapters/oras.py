@@ -14,7 +14,7 @@ from pathlib import Path
 
 from robotkube.errors import InputError, UnavailableError
 from robotkube.registry.bundles.adapters.accounts import RegistryAccount
-from robotkube.registry.bundles.core.contents import Item
+from robotkube.registry.bundles.core.contents import BundleItem
 from robotkube.registry.bundles.core.places import RegistryPlace
 
 PROGRAM = "oras"
@@ -32,7 +32,7 @@ class Oras:
     authority: Path | None = None
     plain: bool = False
 
-    def copy(self, bundle: Path, item: Item, place: RegistryPlace) -> None:
+    def copy(self, bundle: Path, item: BundleItem, place: RegistryPlace) -> None:
         """Copy an item with all that is attached to it. InputError or UnavailableError with the program's words."""
         target = f"{place}/{item.repository}:{item.tag}"
         command = [

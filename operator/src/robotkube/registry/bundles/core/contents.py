@@ -31,7 +31,7 @@ class Attached:
 
 
 @dataclass(frozen=True)
-class Item:
+class BundleItem:
     """One thing: `digest` is that of its manifest, `size` the bytes of all its parts."""
 
     kind: str
@@ -62,15 +62,15 @@ class BundleContents:
 
     version: str
     prefix: str
-    items: tuple[Item, ...]
+    items: tuple[BundleItem, ...]
 
-    def of(self, kind: str) -> list[Item]:
+    def of(self, kind: str) -> list[BundleItem]:
         """Items of one kind, by name."""
         return sorted((item for item in self.items if item.kind == kind), key=lambda item: (item.name, item.version))
 
-    def listing(self, digest: str) -> Item:
+    def listing(self, digest: str) -> BundleItem:
         """The list itself as an item, with the digest of its manifest."""
-        return Item(CONTENTS, "bundle", self.version, digest, 0)
+        return BundleItem(CONTENTS, "bundle", self.version, digest, 0)
 
     def references(self) -> dict[str, str]:
         """Image name -> reference by digest, as charts and manifests of the bundle have it."""
@@ -102,9 +102,9 @@ def read_contents(data: bytes, where: str) -> BundleContents:
         raise DocumentError(where, [f"no list of a bundle's contents: {error or type(error).__name__}"]) from error
 
 
-def _item(entry: Mapping[str, Any], where: str) -> Item:
+def _item(entry: Mapping[str, Any], where: str) -> BundleItem:
     attached: Sequence[Mapping[str, Any]] = entry["attached"]
-    item = Item(
+    item = BundleItem(
         str(entry["kind"]),
         str(entry["name"]),
         str(entry["version"]),

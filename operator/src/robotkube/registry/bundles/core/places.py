@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 
 from robotkube.errors import InputError
-from robotkube.registry.bundles.core.contents import Item
+from robotkube.registry.bundles.core.contents import BundleItem
 
 _PLACE = re.compile(r"(?P<host>[A-Za-z0-9.-]+(?::\d{1,5})?)/(?P<path>[a-z0-9]+(?:[._/-]+[a-z0-9]+)*)")
 
@@ -21,11 +21,11 @@ class RegistryPlace:
     def __str__(self) -> str:
         return f"{self.host}/{self.path}"
 
-    def repository(self, item: Item) -> str:
+    def repository(self, item: BundleItem) -> str:
         """The repository of an item, without the host."""
         return f"{self.path}/{item.repository}"
 
-    def reference(self, item: Item) -> str:
+    def reference(self, item: BundleItem) -> str:
         """An item by its digest."""
         return f"{self}/{item.repository}@{item.digest}"
 

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from robotkube.registry.bundles.core.contents import Item
+from robotkube.registry.bundles.core.contents import BundleItem
 from robotkube.registry.bundles.core.places import RegistryPlace
 from robotkube.registry.bundles.ports import PushedTo
 
 
-def differences(registry: PushedTo, place: RegistryPlace, items: Sequence[Item]) -> list[str]:
+def differences(registry: PushedTo, place: RegistryPlace, items: Sequence[BundleItem]) -> list[str]:
     """What is missing or other below a place, each a sentence; empty when nothing is."""
     return [problem for item in items for problem in _of_one(registry, place, item)]
 
 
-def _of_one(registry: PushedTo, place: RegistryPlace, item: Item) -> list[str]:
+def _of_one(registry: PushedTo, place: RegistryPlace, item: BundleItem) -> list[str]:
     repository = place.repository(item)
     where = f"{place.host}/{repository}"
     if registry.manifest_digest(repository, item.digest) is None:
