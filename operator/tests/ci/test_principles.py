@@ -62,13 +62,14 @@ def test_results_stand_beside_their_rows() -> None:
 def test_a_run_of_the_tests_leaves_the_page_as_it_is(
     place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def run(group: test.Group, places: Sequence[str]) -> test.Result:
+    def run(group: test.Group, places: Sequence[str], output: Path | None = None) -> test.Result:
         principles.RESULTS.write_text('{"p02": "failed"}')
         return test.Result(group, 1, 0, 0, 1.0)
 
     before = principles.PAGE.read_bytes()
     monkeypatch.setattr(test, "run", run)
     monkeypatch.setattr(test.preflight, "require", lambda: None)
+    monkeypatch.setattr(test.preparing, "prepare", lambda needs: None)
     monkeypatch.setattr(sys, "argv", ["make test", "--only", "platform"])
     assert test.main() == 0
     assert principles.PAGE.read_bytes() == before

@@ -75,7 +75,12 @@ def test_the_file_of_an_enrolled_agent(run: Callable[..., int], tmp_path: Path) 
 @pytest.mark.parametrize(
     ("policies", "words", "code", "said"),
     [
-        ({}, ("vehicle-99", "--role", "vehicle"), 2, "no agent vehicle-99 is declared; there are: cloud-0, vehicle-16"),
+        (
+            {},
+            ("vehicle-99", "--role", "vehicle"),
+            2,
+            "no agent vehicle-99 is declared; did you mean vehicle-16? there are: cloud-0, vehicle-16",
+        ),
         ({}, ("cloud-0", "--role", "cloud"), 1, "cloud-0 is declared by the chart's values, and needs no enrollment"),
         (ENROLLED, (NEW, "--role", "edge"), 1, "is enrolled as vehicle: withdraw it first, then enroll it anew"),
         (ENROLLED, (NEW, "--role", "vehicle", "--hours", "25"), 2, "--hours 25: must be 1 to 24"),

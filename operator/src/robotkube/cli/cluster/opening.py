@@ -7,7 +7,6 @@ That is the console; where there is none, the forge's page of a plan, and for th
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 import webbrowser
 from collections.abc import Mapping, Sequence
@@ -17,6 +16,7 @@ from urllib.parse import quote
 from robotkube.cli.output import Table
 from robotkube.cli.platform import FORGE, Platform
 from robotkube.errors import InputError, RefusalError
+from robotkube.foundation.documents.core.patterns import COMMIT_START
 from robotkube.foundation.kubernetes.core.objects import object_key
 
 CONSOLE = "console"
@@ -24,7 +24,6 @@ DEPLOYMENT = "robotkube/deployment"
 FLEET, WHY, PLAN, RECORDING = "fleet", "why", "plan", "recording"
 KINDS = ("event", "task", "plan", "pod", "release", "commit")
 TLS_PORTS = (443, 8443)
-COMMIT = re.compile(r"[0-9a-f]{7,40}")
 
 Document = Mapping[str, Any]
 
@@ -113,7 +112,7 @@ def kind_of(wanted: str, tasks: Sequence[Document], plans: Sequence[Document], p
         return "pod"
     if any(wanted in plan[word] for plan in plans for word in ("created", "changed", "removed")):
         return "release"
-    if COMMIT.fullmatch(wanted) and any((plan["commit"] or "").startswith(wanted) for plan in plans):
+    if COMMIT_START.fullmatch(wanted) and any((plan["commit"] or "").startswith(wanted) for plan in plans):
         return "commit"
     known = "`robotkube task list`, `robotkube plan list`; a recording is named by `robotkube open recording NAME`"
     raise RefusalError("UnknownId", f"no event, task, plan, pod, release or commit {wanted} is known; see {known}")

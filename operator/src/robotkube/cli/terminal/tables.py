@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from importlib.util import find_spec
 from typing import TextIO
 
-DIGEST = re.compile(r"\bsha256:([0-9a-f]{12})[0-9a-f]{52}\b")
+from robotkube.foundation.documents.core.patterns import DIGEST_IN_TEXT
 
 
 def is_terminal(stream: TextIO) -> bool:
@@ -17,7 +16,7 @@ def is_terminal(stream: TextIO) -> bool:
 
 def shortened(text: str) -> str:
     """`text` with the first twelve digits of each digest."""
-    return DIGEST.sub(r"sha256:\1…", text)
+    return DIGEST_IN_TEXT.sub(r"sha256:\1…", text)
 
 
 def draw(headings: Sequence[str], rows: Sequence[Sequence[str]], stream: TextIO) -> None:

@@ -11,15 +11,12 @@ from typing import Any
 from robotkube.delivery.console.core.poses import MARK
 from robotkube.delivery.console.core.signing_in import SignIn
 from robotkube.delivery.console.ports import ManagerPages
-from robotkube.foundation.documents.core.patterns import HTTP_URL, NAME, WORD
+from robotkube.foundation.documents.core.patterns import ADDRESSES, AGENTS_MQTT_TOPIC, HOST, HTTP_URL, NAME, WORD
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.runtime import settings_file as files
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.broker_settings import read_broker
 
-HOST = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.-]{0,252})")
-TOPIC = re.compile(r"[A-Za-z0-9_/{}-]{1,200}", re.ASCII)
-ADDRESSES = re.compile(r"[0-9a-fA-F.:]+(/\d{1,3})?", re.ASCII)
 TEXT = re.compile(r"[^\0\n]{1,500}")
 
 
@@ -99,7 +96,7 @@ def _poses(reader: Reader, root: Mapping[str, Any]) -> PoseSource | None:
     if root.get("poses") is None:
         return None
     poses = reader.mapping(root["poses"], "poses", ["topic"])
-    topic = reader.word(poses.get("topic"), "poses.topic", TOPIC)
+    topic = reader.word(poses.get("topic"), "poses.topic", AGENTS_MQTT_TOPIC)
     if topic.split("/").count(MARK) != 1:
         reader.problems.append(f"poses.topic: must have {MARK} as one of its levels, such as mqtt/vehicles/{MARK}/pose")
     return PoseSource(read_broker(reader, root.get("broker")), topic)

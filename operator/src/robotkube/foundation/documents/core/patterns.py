@@ -44,6 +44,7 @@ ARCHIVE_PART = re.compile(r"[A-Za-z0-9_.@+-]{1,100}", re.ASCII)  # of a path in 
 
 # Digests, images and their platforms.
 DIGEST = re.compile(_SHA256, re.ASCII)
+DIGEST_IN_TEXT = re.compile(r"\bsha256:([0-9a-f]{12})[0-9a-f]{52}\b", re.ASCII)
 DIGEST_START = re.compile(r"(sha256:)?(?P<digits>[0-9a-f]{7,64})", re.ASCII)  # as tables shorten it
 EVIDENCE = re.compile(rf"none|{_SHA256}", re.ASCII)
 IMAGE_BY_DIGEST = re.compile(rf"[A-Za-z0-9][A-Za-z0-9./:_-]{{0,254}}@{_SHA256}", re.ASCII)
@@ -78,6 +79,11 @@ WEBHOOK_URL = re.compile(
     r"https?://(?P<host>[A-Za-z0-9][-.A-Za-z0-9]*|\[[0-9a-fA-F:]+\])(:(?P<port>[1-9][0-9]{0,4}))?(/[!-~]*)?"
 )
 DNS_NAME = re.compile(r"[a-z0-9*]([-a-z0-9.]{0,251}[a-z0-9])?", re.ASCII)  # of a certificate: * stands for a label
+HOST = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.-]{0,252})", re.ASCII)  # as browsers name it
+ADDRESSES = re.compile(r"[0-9a-fA-F.:]+(/\d{1,3})?", re.ASCII)  # one, or a range of them
+REGISTRY_PATH = re.compile(  # host and path, where repositories stand below the path
+    r"(?P<host>[A-Za-z0-9.-]+(?::\d{1,5})?)/(?P<path>[a-z0-9]+(?:[._/-]+[a-z0-9]+)*)", re.ASCII
+)
 HOST_LABEL = re.compile(r"[A-Za-z0-9]([-A-Za-z0-9]{0,61}[A-Za-z0-9])?", re.ASCII)
 
 # ROS and MQTT.
@@ -93,6 +99,7 @@ ROS_PACKAGE = re.compile(r"[a-z](?:_?[a-z0-9])*", re.ASCII)  # of a new package:
 MESSAGE_FILE = re.compile(r"[A-Z][A-Za-z0-9]*\.msg", re.ASCII)
 ROS_WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)  # of a package, message or field in a definition
 EXPRESSION_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
+AGENTS_MQTT_TOPIC = re.compile(r"[A-Za-z0-9_/{}-]{1,200}", re.ASCII)  # {agent} stands for any agent's ROS name
 MQTT_TOPIC = re.compile(rf"[^\s+#$/][^\s+#]{{0,{MQTT_TOPIC_CHARACTERS_MAX - 1}}}")  # of one topic, without wildcards
 
 

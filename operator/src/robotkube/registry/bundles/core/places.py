@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 
 from robotkube.errors import InputError
+from robotkube.foundation.documents.core.patterns import REGISTRY_PATH
 from robotkube.registry.bundles.core.contents import BundleItem
-
-_PLACE = re.compile(r"(?P<host>[A-Za-z0-9.-]+(?::\d{1,5})?)/(?P<path>[a-z0-9]+(?:[._/-]+[a-z0-9]+)*)")
 
 
 @dataclass(frozen=True)
@@ -32,7 +30,7 @@ class RegistryPlace:
 
 def read_place(text: str) -> RegistryPlace:
     """The place that a person wrote; InputError says how to write one."""
-    match = _PLACE.fullmatch(text.removesuffix("/"))
+    match = REGISTRY_PATH.fullmatch(text.removesuffix("/"))
     if match is None:
         raise InputError(f"--to {text}: write HOST/PATH in lower case, such as registry.example.com/robots/robotkube")
     return RegistryPlace(match["host"], match["path"])

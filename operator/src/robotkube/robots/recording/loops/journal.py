@@ -226,12 +226,13 @@ class Journal:
     def _use_database(self) -> None:
         """Do everything that needs the database, unless it is unreachable or the release is fenced."""
         try:
+            if not self._place.fencing.fenced:
+                self._unconfirmed.clear()
             if self.store is None:
                 self._open_store()
             if self._place.fencing.fenced:
                 self._unreachable_since = min(self._unreachable_since, self._place.monotonic())
                 return
-            self._unconfirmed.clear()
             if self.store is not None:
                 self._write_urgent(self.store)
                 self._recover(self.store)
