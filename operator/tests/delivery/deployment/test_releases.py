@@ -14,9 +14,11 @@ from robotkube.delivery.deployment.core.releases import (
     Source,
     TaskCause,
     application_name,
+    chart_of,
     read_release,
     read_source,
     read_tree,
+    source_of,
     write_release,
     write_source,
 )
@@ -116,6 +118,11 @@ def test_initial_release_has_no_task_annotations() -> None:
 def test_source_reads_back_equal() -> None:
     assert read_source(write_source(SOURCE), SOURCE.path) == SOURCE
     assert SOURCE.path == "sources/vehicle-00/mqtt-bridge-12e4567890ab.yaml"
+
+
+def test_a_source_that_is_read_is_the_object_that_a_release_needs() -> None:
+    registry = SOURCE.url.rpartition("/")[0]
+    assert read_source(write_source(SOURCE), SOURCE.path) is source_of(chart_of(RELEASE), registry)
 
 
 @given(st.dictionaries(st.text(max_size=8), json_values, max_size=4))

@@ -42,6 +42,18 @@ def test_a_task_without_a_lease_stands_until_it_is_deleted() -> None:
     assert demands(task) == StandingDemands()
 
 
+def test_what_was_asked_is_the_same_object_until_the_document_changes() -> None:
+    reader, task = TaskReader(), document()
+    reader.read([task])
+    asked = reader.asked()["cloud-0/meeting"]
+    reader.read([{**task, "status": {"phase": "new"}}])
+    assert reader.asked()["cloud-0/meeting"] is asked
+    assert reader.document("cloud-0/meeting")["status"] == {"phase": "new"}
+    task["metadata"] = {**task["metadata"], "generation": 2}
+    reader.read([task])
+    assert reader.asked()["cloud-0/meeting"].stamp == (asked.stamp[0], 2)
+
+
 def test_a_lease_ends_at_its_second() -> None:
     task = document(lease={"seconds": 5})
     before = demands(task, after_seconds=4.999)

@@ -15,14 +15,26 @@ from robotkube.delivery.manager.core.composition.composer import Composition, De
 from robotkube.delivery.manager.core.composition.inputs import Inputs
 from robotkube.delivery.manager.core.composition.memo import KEPT_MAX, PREFIXES_BETWEEN_MAX, Recent
 from robotkube.delivery.manager.core.placement.capacity import Resources
-from robotkube.delivery.manager.core.placement.placement import NodeState, fleet
+from robotkube.delivery.manager.core.placement.placement import Fleet, NodeState, fleet
 from robotkube.delivery.tasks.core.task_description import TaskDescription, TaskPlacement
 from robotkube.errors import RefusalError
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.foundation.documents.adapters.json_schema import validate
+from robotkube.registry.catalogue.core.catalogue import Catalogue
 from robotkube.registry.catalogue.core.guarantees import GuaranteeRequirement
 from robotkube.testing.synthetic import Synthetic, demands, synthetic
-from tests.stages.delivery.placement import ONE, application, catalogue, chart, demand, inputs, task
+from tests.stages.delivery.placement import (
+    NODES,
+    ONE,
+    PLAIN,
+    application,
+    catalogue,
+    chart,
+    demand,
+    inputs,
+    places,
+    task,
+)
 from tests.stages.examples import EXAMPLES
 
 RENDER = Jinja2Templates().render
@@ -44,10 +56,12 @@ class History:
     withheld: dict[tuple[str, str], str] = field(default_factory=dict)
     now_ns: int = 0
     made: int = 0
+    machines: Fleet = field(default_factory=lambda: fleet(SMALL.agents, SMALL.nodes))
 
     def inputs(self) -> Inputs:
         machines = fleet(SMALL.agents, list(self.nodes.values()), self.now_ns)
-        composed = replace(SMALL.inputs(RENDER, validate, self.present), fleet=machines)
+        self.machines = self.machines if self.machines == machines else machines  # one object as long as it is the same
+        composed = replace(SMALL.inputs(RENDER, validate, self.present), fleet=self.machines)
         return replace(composed, others=self.others, pins=dict(self.pins), withheld=dict(self.withheld))
 
     def demands(self) -> list[Demand]:
@@ -204,6 +218,45 @@ def test_composing_the_same_again_expands_nothing(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("robotkube.delivery.manager.core.composition.memo.expand", None)
     assert compose(asked, inputs, memo) == composed
     assert compose(asked, replace(inputs, present={**composed.releases}), memo).releases == composed.releases
+
+
+def known(asked: list[Demand], given: Inputs) -> Memo:
+    """A memo that knows these demands in this fleet, where they run."""
+    memo = Memo()
+    for number in range(2):  # main moves in between
+        compose(asked, replace(given, pins={"ops/other": ("worker", f"0.{number}.0")}), memo)
+    return memo
+
+
+def on_roadside_0(asked: list[Demand], offered: Catalogue = PLAIN) -> dict[str, Release]:
+    """The releases of demands that were made one by one, while there was no other place."""
+    alone = inputs(offered, nodes=NODES[:1])
+    return {path: one for each in asked for path, one in compose([each], alone).releases.items()}
+
+
+def test_what_stays_is_not_placed_again_when_main_moves(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = [demand(task("t0")), demand(task("t1"))]
+    given = inputs(present=on_roadside_0(asked))
+    memo, composed = known(asked, given), compose(asked, given)
+    monkeypatch.setattr("robotkube.delivery.manager.core.composition.assignments.place", None)
+    assert compose(asked, given, memo) == composed
+
+
+def test_what_stays_goes_where_there_is_room_when_others_come_first() -> None:
+    asked = [demand(task(name)) for name in ("first", "second", "third")]
+    given = inputs(present=on_roadside_0(asked))
+    composed = compose(asked, given)
+    assert places(composed) == {"a-first": "roadside-0", "a-second": "roadside-0", "a-third": "roadside-1"}
+    assert compose(asked, given, known(asked[2:], given)) == composed
+
+
+def test_what_stays_asks_for_nothing_more_when_another_demand_plans_it() -> None:
+    offered = catalogue(application({**ONE, "release": "shared"}), application(ONE, name="own"))
+    asked = [demand(task("p")), demand(task("q")), demand(task("r", application="own"))]
+    given = inputs(offered, present=compose(asked, inputs(offered, nodes=NODES[:1])).releases)
+    composed = compose(asked, given)
+    assert places(composed) == {"shared": "roadside-0", "a-r": "roadside-0"}
+    assert compose(asked, given, known(asked, given)) == composed
 
 
 @pytest.mark.parametrize("version", ["0.2.0", "0.1.0"])

@@ -129,6 +129,15 @@ def test_what_runs_stays_when_nodes_come_and_go_that_it_is_not_on() -> None:
     assert alone.releases == second.releases  # no pod is started anew because the other Node is gone
 
 
+def test_the_home_follows_what_comes_to_main() -> None:
+    memo, asked, given = Memo(), [demand(task())], inputs(catalogue(application(BOUND)), TWO)
+    composed = compose(asked, given, memo)
+    assert nodes_of(composed) == {"a-t": "n1"}
+    [(path, release)] = composed.releases.items()
+    moved = replace(release, values={**release.values, "placement": {"agent": "roadside-0", "node": "n2"}})
+    assert nodes_of(compose(asked, replace(given, present={path: moved}), memo)) == {"a-t": "n2"}
+
+
 @pytest.mark.parametrize("gone", [False, True])
 def test_a_lost_node_of_two_gives_its_services_to_the_other_one(gone: bool) -> None:
     others = [node for node in NODES if node.agent != "roadside-0"]

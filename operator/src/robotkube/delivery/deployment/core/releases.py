@@ -141,7 +141,13 @@ def chart_of(release: Release) -> ChartOf:
 @lru_cache(DOCUMENTS_CACHED_MAX)
 def source_of(chart: ChartOf, registry: str) -> Source:
     """The source that carries a chart; `registry` is oci://host/organisation."""
-    return Source(*chart, f"{registry}/{chart[1]}")
+    return _one(Source(*chart, f"{registry}/{chart[1]}"))
+
+
+@lru_cache(DOCUMENTS_CACHED_MAX)
+def _one(source: Source) -> Source:
+    """One object for equal sources: those of main and those that are needed are compared with each plan."""
+    return source
 
 
 def source_name(chart: str, digest: str) -> str:
@@ -327,7 +333,7 @@ def read_source(text: str, path: str) -> Source:
     if not reader.problems:
         reader.equal(path, "path", source.path)
     reader.finish()
-    return source
+    return _one(source)
 
 
 @dataclass(frozen=True)
@@ -343,14 +349,15 @@ class Tree:
     @cached_property
     def users(self) -> Mapping[ChartOf, int]:
         """The number of releases in a namespace that run each chart."""
-        return Counter(chart_of(release) for release in self.releases.values())
+        return Counter(map(chart_of, self.releases.values()))
 
     def wrong_sources(self, registry: str) -> tuple[Mapping[ChartOf, Source], frozenset[str]]:
         """The sources that the releases need (charts are in `registry`, oci://host/organisation) and that are missing
         or other than that; the paths of those that nothing needs."""
         if registry not in self._wrong:
             needed = {chart: source_of(chart, registry) for chart in self.users}
-            wrong = {chart: source for chart, source in needed.items() if self.sources.get(source.path) != source}
+            present = ((chart, source, self.sources.get(source.path)) for chart, source in needed.items())
+            wrong = {chart: source for chart, source, now in present if now is not source and now != source}
             self._wrong[registry] = wrong, frozenset(self.sources) - {source.path for source in needed.values()}
         return self._wrong[registry]
 

@@ -49,10 +49,6 @@ class PastDecision:
     offloaded: bool = False
 
 
-_Read = tuple[Mapping[str, Any], Any, Any, TaskDescription | Refused]
-"""A document, its metadata and spec, and the task that was read from them, or why none was."""
-
-
 Stamp = tuple[str, int]
 """Identity and generation of an object."""
 
@@ -72,12 +68,17 @@ class Asked:
         return (cause.task, cause.application, cause.parameters) == (own.task, own.application, own.parameters)
 
 
+_Read = tuple[str, Mapping[str, Any], Any, Any, Asked]
+"""The key of a task, its document, the document's metadata and spec, and what was read from these two."""
+
+
 class TaskReader:
     """A reader of tasks that keeps what it read until the document changes. Metadata and spec are values: what was
     given once stays as it is, and a task that changed comes with others."""
 
     def __init__(self) -> None:
         self._read: dict[str, _Read] = {}
+        self._by_metadata: dict[int, _Read] = {}
 
     def read(self, documents: Iterable[Mapping[str, Any]]) -> dict[str, TaskDescription | Refused]:
         """Every task that is not being deleted, by key; Refused for one that cannot be read. The newest of several
@@ -86,30 +87,37 @@ class TaskReader:
         for document in documents:
             if is_withdrawn(document):
                 continue
-            key = object_key(document)
             metadata = document.get("metadata")
             spec = document.get("spec")
-            known = self._read.get(key)
-            same = known is not None and known[1] is metadata and known[2] is spec
-            if known is not None and (same or _equal(_inputs(known[1], known[2]), _inputs(metadata, spec))):
-                entries[key] = document, metadata, spec, known[3]
-            else:
-                entries[key] = document, metadata, spec, _task(document)
+            entry = self._by_metadata.get(id(metadata))
+            if entry is None or entry[3] is not spec:
+                entry = self._entry(document, metadata, spec)
+            elif entry[1] is not document:
+                entry = (entry[0], document, *entry[2:])
+            entries[entry[0]] = entry
         self._read = entries
-        return {key: entry[3] for key, entry in entries.items()}
+        self._by_metadata = {id(entry[2]): entry for entry in entries.values()}  # kept, so that the ids stay theirs
+        return {key: entry[4].task for key, entry in entries.items()}
+
+    def _entry(self, document: Mapping[str, Any], metadata: Any, spec: Any) -> _Read:
+        key = object_key(document)
+        known = self._read.get(key)
+        if known is not None and _equal(_inputs(known[2], known[3]), _inputs(metadata, spec)):
+            return key, document, metadata, spec, known[4]
+        return key, document, metadata, spec, Asked(stamp_of(document), _task(document))
 
     def document(self, key: str) -> Mapping[str, Any]:
         """The document that a task was last read from; KeyError when it was not there."""
-        return self._read[key][0]
+        return self._read[key][1]
 
     def asked(self) -> dict[str, Asked]:
         """What each task asked for when it was read last, by key."""
-        return {key: Asked(stamp_of(entry[0]), entry[3]) for key, entry in self._read.items()}
+        return {key: entry[4] for key, entry in self._read.items()}
 
 
 def stamp_of(document: Mapping[str, Any]) -> Stamp:
     """Which object, in which generation, a document is."""
-    return object_identity(document), int(document["metadata"].get("generation", 1))
+    return object_identity(document), int(document.get("metadata", {}).get("generation", 1))
 
 
 def _inputs(metadata: Mapping[str, Any] | None, spec: Any) -> Any:
@@ -134,16 +142,17 @@ def _task(document: Mapping[str, Any]) -> TaskDescription | Refused:
 
 def demands_at(tasks: Mapping[str, TaskDescription | Refused], now_ns: int) -> StandingDemands:
     """The demands among the tasks that stand at `now_ns` (ns since 1970)."""
-    readable = sorted((t for t in tasks.values() if isinstance(t, TaskDescription)), key=lambda t: (t.created, t.key))
+    readable = {key: task for key, task in tasks.items() if isinstance(task, TaskDescription)}
     refused = {key: task for key, task in tasks.items() if isinstance(task, Refused)}
     live: dict[str, TaskDescription] = {}
     due: list[int] = []
-    for task in readable:
+    for _, key in sorted((task.created, key) for key, task in readable.items()):
+        task = readable[key]
         end = task.expires_ns
         if end is not None and end <= now_ns:
-            refused[task.key] = Refused(LEASE_EXPIRED, _expired(task, end))
+            refused[key] = Refused(LEASE_EXPIRED, _expired(task, end))
             continue
-        live[task.key] = task
+        live[key] = task
         due += [end] if end is not None else []
     return StandingDemands(live, refused, min(due, default=None))
 

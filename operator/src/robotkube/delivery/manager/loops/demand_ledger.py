@@ -79,6 +79,10 @@ class DemandLedger:
             frozenset(key for key, task in self.demands.live.items() if (key, task.cause.parameters) not in parameters),
         )
 
+    def answered(self, causes: Collection[TaskCause]) -> frozenset[str]:
+        """The tasks that main answers, by the `causes` of its releases."""
+        return self._asked_for(causes)[0]
+
     def _asked_for(self, causes: Collection[TaskCause]) -> tuple[frozenset[str], frozenset[tuple[str, str]]]:
         """The tasks of the causes, and what each asked with; computed once for the same object."""
         if self._causes is not causes:

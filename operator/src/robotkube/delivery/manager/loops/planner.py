@@ -117,7 +117,7 @@ class Planner:
         self._initial_refusals = InitialRefusals()
         self._turn = 0
         self._now_ns = 0
-        self._main_causes: tuple[Tree, Sequence[TaskCause], frozenset[str]] = Tree({}, {}), (), frozenset()
+        self._main_causes: tuple[Tree, Sequence[TaskCause]] = Tree({}, {}), ()
         self._demands: dict[str, Demand] = {}
         self._planned_tasks: list[TaskDescription] = []
         self.desired = Composition({}, {})
@@ -339,15 +339,13 @@ class Planner:
 
     def _answered(self) -> frozenset[str]:
         """Tasks that main answers; looked up once per main."""
-        self._causes()
-        return self._main_causes[2]
+        return self._ledger.answered(self._causes())
 
     def _causes(self) -> Sequence[TaskCause]:
         """The causes of main's releases; looked up once per main."""
         tree = self._main.tree
         if self._main_causes[0] is not tree:
-            causes = [cause for release in tree.releases.values() for cause in release.causes]
-            self._main_causes = tree, causes, frozenset(cause.task for cause in causes)
+            self._main_causes = tree, [cause for release in tree.releases.values() for cause in release.causes]
         return self._main_causes[1]
 
     def _wanted(self, answered: frozenset[str]) -> list[TaskDescription]:

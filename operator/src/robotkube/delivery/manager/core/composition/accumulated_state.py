@@ -15,7 +15,6 @@ from robotkube.delivery.manager.core.composition.index import Index
 from robotkube.delivery.manager.core.composition.inputs import Demand, Met, Refused
 from robotkube.delivery.manager.core.composition.publishers import Publishers, described
 from robotkube.delivery.manager.core.composition.topic_merge import End, MergedTopics
-from robotkube.delivery.manager.core.placement.capacity import read_resources
 from robotkube.delivery.manager.core.placement.reasons import shown
 from robotkube.delivery.tasks.core.task_description import INSUFFICIENT_RESOURCES, RELEASE_IN_USE, TOPIC_TAKEN
 from robotkube.errors import RefusalError
@@ -39,6 +38,11 @@ class Contribution:
         if self.demand.task is None or not self.shares:
             return self.expansion.cause
         return replace(self.demand.task.cause, application=self.expansion.application)
+
+    @cached_property
+    def ends(self) -> tuple[End, ...]:
+        """The bridges that carry its topics."""
+        return tuple(self.expansion.topics.ends)
 
     @property
     def choices(self) -> tuple[str, ...]:
@@ -142,10 +146,10 @@ class AccumulatedState:
             if end in self.bridged:
                 continue
             kind, place = end
-            chart = index.bridge(kind)[1][0]
-            need = read_resources(chart.resources)
+            need = index.bridge_need(kind)
             capacity = index.fleet.capacities.get(place)
-            if capacity and not occupancy.fits(place, capacity, need) and not index.runs(place, chart.chart):
+            chart = index.bridge(kind)[1][0].chart
+            if capacity and not occupancy.fits(place, capacity, need) and not index.runs(place, chart):
                 shortage = occupancy.shortage(place, capacity, need)
                 agent = index.fleet.at[place]
                 text = f"{agent} has no room for its bridge ({shortage}); withdraw something that runs there"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from robotkube.delivery.manager.core.composition.index import Index
@@ -16,6 +17,17 @@ Words = dict[str, frozenset[str]]
 
 _NOBODY: Mapping[str, str] = {}
 _NOWHERE: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
+class Stay:
+    """A group whose releases all run on one place and on no other, and stay unless what is planned stands against it;
+    `only` has that place alone."""
+
+    place: str
+    names: tuple[str, ...]
+    need: Resources
+    only: frozenset[str]
 
 
 class Assignments:
@@ -96,6 +108,22 @@ class Assignments:
             self._keep_away(demand, names, placement)
         return placement
 
+    def stay(self, stays: Iterable[Stay], fleet: Fleet) -> bool:
+        """Assign groups as `assign` does, when they simply stay: nobody keeps away from anything, nothing else of their
+        names is planned, and there is room. Else False, and nothing is assigned that `undo` does not take back."""
+        if self._watched:
+            return False
+        for one in stays:
+            if not self._named.keys().isdisjoint(one.names):
+                return False
+            if not self.occupancy.fits(one.place, fleet.capacities.get(one.place), one.need):
+                return False
+            self.occupancy.reserve(one.place, one.need, len(one.names))
+            for name in one.names:
+                self._journal.append((self._named, name, _NOWHERE))
+                self._named[name] = one.only
+        return True
+
     def _kept(self, demand: Demand, group: Group, names: Sequence[Any], index: Index) -> Mapping[str, int]:
         """Places on which releases of the group run already, or, of those that are shared, are planned by others."""
         running: dict[str, int] = {}
@@ -143,6 +171,17 @@ class Assignments:
         words = [demand.key, *map(str, names), *(f"{agent.namespace}/{name}" for name in names)]
         self._write(self._near, words, agent.name)
         self._write(self._kept_away, demand.keeps_away, agent.name)
+
+
+def stay_of(group: Group, names: Sequence[Any], placement: Placement, fleet: Fleet) -> Stay | None:
+    """The group as one that stays where it was just placed; None when more than room and names could move it."""
+    here = placement.agent.place
+    bound = fleet.homes or group.apart or any(request.links for request in group.requests)
+    if bound or group.kept != {here: len(names)}:
+        return None
+    if placement is not fleet.candidates(group.wanted).stays(placement.agent, group.together):
+        return None
+    return Stay(here, tuple(names), group.need, frozenset([here]))
 
 
 def _rest(names: Sequence[Any], group: Group, shared: set[Any]) -> Resources:

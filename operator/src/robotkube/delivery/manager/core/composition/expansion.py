@@ -192,7 +192,8 @@ class _Expander:
         chart = chosen[0]
         apart = f"{self._expansion.application}/{service.name}" if service.placement.spread else ""
         need = read_resources(chart.resources)
-        wanted = () if agent is not None else tuple(needs(self._links, instance, self._given, self._render))
+        asked = () if agent is not None else needs(self._links, instance, self._given, self._render)
+        wanted = tuple(link_need for link_need in asked if link_need.binds)
         return chosen, PlacementRequest(
             service.name, service.placement, agent, kept, need, chart.platforms, apart, bool(service.unite), wanted
         )

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -22,13 +21,23 @@ Lookup = tuple[Any, ...]
 """What an expansion looked up in the fleet: ("agent", name), ("end", name), ("heard", topic, listener), ("role", role),
 ("agents", role, capabilities), ("platforms", agent, role)."""
 
+Releases = Mapping[str, Release]
+"""Releases by path."""
+
+_Made = tuple[str, str]
+"""The task that a release answers, and its name; the empty task stands for any."""
+
 _NOWHERE: frozenset[str] = frozenset()
+_NO_RELEASES: Releases = {}
 
 
 class Index:
     """The inputs with what can be looked up in them. `fleet` has homes, `occupied` what releases of others reserve."""
 
-    def __init__(self, inputs: Inputs, fleet: Fleet, selector: Selector, occupied: Occupancy) -> None:
+    def __init__(
+        self, inputs: Inputs, fleet: Fleet, selector: Selector, occupied: Occupancy, before: Index | None = None
+    ) -> None:
+        """`before` looked things up in the same fleet: what it knows of releases that are still on main is kept."""
         self.render: Render = inputs.render
         self.pins: Mapping[str, Pin] = inputs.pins
         self.fleet = fleet
@@ -36,42 +45,41 @@ class Index:
         self.occupied = occupied
         self.present: Mapping[str, Release] = dict(inputs.present)
         self.others: Mapping[str, Release] = dict(inputs.others)
-        self._places: dict[tuple[str, str], frozenset[str]] = {}
         self._bridges: dict[str, tuple[Service, Chosen]] = {}
+        self._bridge_needs: dict[str, Resources] = {}
         self._forbidden: dict[tuple[AgentCriteria, tuple[LinkNeed, ...]], Mapping[str, str]] = {}
+        self._places: dict[_Made, frozenset[str]] = {}
+        if before is None:
+            self._releases = _by_task_and_name({}, {}, self.present, self.present)
+        else:
+            paths = different(before.present, self.present)
+            self._releases = _by_task_and_name(before._releases, before.present, self.present, paths)
+            kept = before._places.items()
+            self._places = {m: at for m, at in kept if before._releases.get(m) is self._releases.get(m, _NO_RELEASES)}
 
-    def same(self, other: Index) -> bool:
-        """Whether both answer everything alike."""
+    def answers(self, inputs: Inputs, fleet: Fleet, selector: Selector, occupied: Occupancy) -> bool:
+        """Whether it answers everything as an index of these would."""
         return (
-            self.fleet is other.fleet
-            and self.selector is other.selector
-            and self.present == other.present
-            and self.occupied is other.occupied
-            and self.others == other.others
-            and self.pins == other.pins
-            and self.render == other.render
+            self.fleet is fleet
+            and self.selector is selector
+            and self.present == inputs.present
+            and self.occupied is occupied
+            and self.others == inputs.others
+            and self.pins == inputs.pins
+            and self.render == inputs.render
         )
 
     def kept(self, demand: Demand, name: Any) -> frozenset[str]:
         """Places on which this demand's release of that name runs already."""
         if not isinstance(name, str):
             return _NOWHERE
-        key = (demand.key if demand.task else "", name)
-        places = self._places.get(key)
+        made = (demand.key if demand.task else "", name)
+        places = self._places.get(made)
         if places is None:
-            places = frozenset().union(*(places_of(release, self.fleet) for release in self._releases.get(key, ())))
-            self._places[key] = places
+            releases = self._releases.get(made, _NO_RELEASES).values()
+            places = frozenset().union(*(places_of(release, self.fleet) for release in releases))
+            self._places[made] = places
         return places
-
-    @cached_property
-    def _releases(self) -> Mapping[tuple[str, str], Sequence[Release]]:
-        """Releases by task and name; by name alone under the empty task."""
-        releases: dict[tuple[str, str], list[Release]] = defaultdict(list)
-        for release in self.present.values():
-            releases["", release.name].append(release)
-            for cause in release.causes:
-                releases[cause.task, release.name].append(release)
-        return releases
 
     def kept_application(self, demand: Demand) -> str:
         """The application that answers the demand's task on main; empty when none does."""
@@ -110,9 +118,15 @@ class Index:
             self._bridges[kind] = self.selector.bridge(kind)
         return self._bridges[kind]
 
+    def bridge_need(self, kind: str) -> Resources:
+        """The resources that a bridge of links of a kind asks for."""
+        if kind not in self._bridge_needs:
+            self._bridge_needs[kind] = read_resources(self.bridge(kind)[1][0].resources)
+        return self._bridge_needs[kind]
+
     def forbidden(self, group: Group) -> Mapping[str, str]:
         """Candidates for a group on which the broker would refuse one of its links, with why."""
-        needs = tuple(need for request in group.requests for need in request.links if need.binds)
+        needs = tuple(need for request in group.requests for need in request.links)
         if not needs or group.wanted.named:
             return {}
         key = (group.wanted, needs)
@@ -135,6 +149,38 @@ class Index:
         names = [agent] if agent else [one.name for one in self.fleet.of_role.get(role, ())]
         platforms = {node.platform for name in names for node in self.fleet.nodes.get(name, ())}
         return frozenset() if "" in platforms else frozenset(platforms)
+
+
+def different(first: Releases, second: Releases) -> list[str]:
+    """The paths of releases that are not the same object on both sides."""
+    gone = [path for path in first if path not in second]
+    return gone + [path for path, release in second.items() if first.get(path) is not release]
+
+
+def _by_task_and_name(
+    known: Mapping[_Made, Releases], before: Releases, now: Releases, paths: Collection[str]
+) -> Mapping[_Made, Releases]:
+    """Releases by task and name: as they are `known` but for those at `paths`, which were as `before` and are `now`."""
+    changed: dict[_Made, dict[str, Release]] = {}
+    for made, path, _ in _made(before, paths):
+        changed.setdefault(made, dict(known[made])).pop(path)
+    for made, path, release in _made(now, paths):
+        if made not in changed:
+            changed[made] = dict(known.get(made, _NO_RELEASES))
+        changed[made][path] = release
+    gone = [made for made, releases in changed.items() if not releases]
+    every: dict[_Made, Releases] = {**known, **changed}
+    for made in gone:
+        del every[made]
+    return every
+
+
+def _made(releases: Releases, paths: Iterable[str]) -> Iterator[tuple[_Made, str, Release]]:
+    """Every task and name of the releases at `paths`."""
+    for path in paths:
+        if (release := releases.get(path)) is not None:
+            for task in {"", *(cause.task for cause in release.causes)}:
+                yield (task, release.name), path, release
 
 
 def places_of(release: Release, fleet: Fleet) -> tuple[str, ...]:

@@ -18,10 +18,10 @@ from robotkube.delivery.manager.core.composition.accumulated_state import (
     caused,
     met,
 )
-from robotkube.delivery.manager.core.composition.assignments import Assignments
+from robotkube.delivery.manager.core.composition.assignments import Assignments, Stay, stay_of
 from robotkube.delivery.manager.core.composition.bridges import bridge_release
 from robotkube.delivery.manager.core.composition.expansion import Expansion, expand
-from robotkube.delivery.manager.core.composition.index import Index, housed, occupied
+from robotkube.delivery.manager.core.composition.index import Index, different, housed, occupied, placed_on
 from robotkube.delivery.manager.core.composition.inputs import Demand, Inputs, Met, Refused
 from robotkube.delivery.manager.core.composition.release_merge import merged_release
 from robotkube.delivery.manager.core.composition.selection import Chosen, Selector
@@ -94,10 +94,12 @@ class RecentSelector(Selector):
 
 @dataclass
 class _KnownContribution:
-    """A contribution, and the fleet in which its lookups were answered last."""
+    """A contribution, and the fleet in which its lookups were answered last; `stays` are its groups, when all of them
+    stay where they are in that fleet unless what is planned stands against it."""
 
     contribution: Contribution
     fleet: Fleet
+    stays: Sequence[Stay] = ()
 
 
 @dataclass
@@ -178,7 +180,7 @@ class Memo:
         if before is None or not before.selector.serves(inputs) or before.render != inputs.render:
             self._forget()
             before = None
-        if before is not None and self._fleet is inputs.fleet and before.present == inputs.present:
+        if before is not None and self._fleet is inputs.fleet and _homes_stay(before.present, inputs.present):
             fleet = before.fleet
         else:
             fleet = housed(inputs.fleet, inputs.present.values())
@@ -188,10 +190,11 @@ class Memo:
         else:
             occupancy = occupied(inputs.others, fleet, inputs.catalogue)
         selector = before.selector if before else RecentSelector(inputs, self._kept_max)
-        index = Index(inputs, fleet, selector, occupancy)
         self._fleet = inputs.fleet
-        self._index = before if before is not None and before.same(index) else index
-        return self._index
+        if before is None or not before.answers(inputs, fleet, selector, occupancy):
+            known = before if before is not None and before.fleet is fleet else None
+            self._index = before = Index(inputs, fleet, selector, occupancy, known)
+        return before
 
     # -- prefixes of the demands ----------------------------------------------------------------------------------
 
@@ -307,16 +310,16 @@ class Memo:
         """The outcome of every demand: how it is met, by accumulated_state.met, or why it is refused."""
         outcomes: dict[str, Met | Refused] = {}
         for key, outcome in state.outcomes.items():
-            outcomes[key] = outcome if isinstance(outcome, Refused) else self._met_by(key, outcome, bridges)
+            if isinstance(outcome, Refused):
+                outcomes[key] = outcome
+                continue
+            known = self._met.get(key)
+            keys = [*map(bridges.__getitem__, outcome.ends)]
+            if known is None or known[0] is not outcome or known[1] != keys:
+                known = (outcome, keys, met(outcome, bridges))
+                self._met.keep(key, known)
+            outcomes[key] = known[2]
         return outcomes
-
-    def _met_by(self, key: str, contribution: Contribution, bridges: Mapping[End, str]) -> Met:
-        mine = [bridges[end] for end in contribution.expansion.topics.ends]
-        known = self._met.get(key)
-        if known is None or known[0] is not contribution or known[1] != mine:
-            known = (contribution, mine, met(contribution, bridges))
-            self._met.keep(key, known)
-        return known[2]
 
 
 def _sharing(demand: Demand, equal: Contribution, known: _KnownContribution | None) -> Contribution:
@@ -334,11 +337,17 @@ def _assigned(known: _KnownContribution | None, index: Index, assignments: Assig
     if known is None or known.contribution.shares or not _answered_alike(known, index):
         return None
     before = known.contribution
+    if known.stays and known.fleet is index.fleet:
+        mark = assignments.mark()
+        if assignments.stay(known.stays, index.fleet):
+            return before
+        assignments.undo(mark)
     placements = _placements(before.expansion, index, assignments)
     if placements is None:
         return None
     pairs = zip(placements, before.expansion.groups, strict=True)
     if all(now is then.placement or now.reasons == then.placement.reasons for now, then in pairs):
+        known.stays = _stays(before.expansion, placements, index.fleet)
         return before
     return Contribution(before.demand, before.expansion.with_placements(placements))
 
@@ -373,6 +382,21 @@ def _placements(expansion: Expansion, index: Index, assignments: Assignments) ->
         assignments.undo(mark)
         return None
     return placements
+
+
+def _stays(expansion: Expansion, placements: Sequence[Placement], fleet: Fleet) -> Sequence[Stay]:
+    """The groups of an expansion, which were just placed, when all of them simply stay; else none."""
+    pairs = zip(expansion.groups, placements, strict=True)
+    stays = [stay_of(one.group, one.names, now, fleet) for one, now in pairs]
+    return [stay for stay in stays if stay] if all(stays) else ()
+
+
+def _homes_stay(before: Mapping[str, Release], now: Mapping[str, Release]) -> bool:
+    """Whether the same Nodes are homes for these releases: none that names a Node came, changed or went."""
+    if before == now:
+        return True
+    changed = [releases.get(path) for path in different(before, now) for releases in (before, now)]
+    return not any(placed_on(release, "node") for release in changed if release is not None)
 
 
 def _surroundings(end: End, index: Index) -> tuple[Agent | None, Agent, frozenset[str]]:

@@ -77,7 +77,8 @@ class NodeState:
 class PlacementRequest:
     """Request of an instance of a service for a place: its rule, the agent it names (rendered; None: it names none),
     the agents that run its release already, what it asks for, the platforms it runs on (none: any), a word for services
-    that must not share an agent. `merged`: it shares a release of its name with others. `links`: what they need."""
+    that must not share an agent. `merged`: it shares a release of its name with others. `links`: their needs that not
+    every agent can have."""
 
     service: str
     rule: PlacementRule

@@ -34,6 +34,8 @@ class FirstRuns:
     def note(self, releases: Iterable[Release], succeeded: Collection[str], now_ns: int) -> None:
         """Note the releases of main that have succeeded with their version (`succeeded`, keys); others are dropped when
         they have gone or got another version."""
+        if not succeeded and not self._seen:
+            return
         present = {(release.key, release.digest) for release in releases}
         seen = {one: self._seen.get(one, now_ns) for one in present if one[0] in succeeded or one in self._seen}
         self._seen = seen
