@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, TextIO
 
 from robotkube.cli.terminal import tables
+from robotkube.foundation.documents.core.patterns import DIGEST_IN_TEXT
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
 
 FORMATS = ("table", "yaml", "json")
@@ -94,6 +95,6 @@ def _cell(value: Any, unknown: str, characters_max: int | None) -> str:
         return str(value).lower()
     text = ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
     text = " ".join(text.split())
-    if characters_max is None or len(text) <= characters_max or tables.DIGEST.search(text):
+    if characters_max is None or len(text) <= characters_max or DIGEST_IN_TEXT.search(text):
         return text
     return f"{text[: characters_max - 1]}…"
