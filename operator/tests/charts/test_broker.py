@@ -101,7 +101,8 @@ def broker(official: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
     text = text.replace("listener 8883", f"listener {port} 127.0.0.1\nuser root")
     text = text.replace("/etc/mosquitto-tls/", f"{folder}/")
     authority = new_authority("ours", time.time())
-    names = yaml.safe_load(official.one("ConfigMap", "certificates")["data"]["config.yaml"])["certificate"]["names"]
+    settings = yaml.safe_load(official.one("ConfigMap", "certificates")["data"]["config.yaml"])
+    (names,) = (one["names"] for one in settings["certificates"] if "broker" in one["names"])
     pair = issue(authority, [*names, "127.0.0.1"], time.time(), 3600)
     for name, pem in (("ca.crt", authority.certificate), ("tls.crt", pair.certificate), ("tls.key", pair.key)):
         (folder / name).write_text(pem)

@@ -237,7 +237,10 @@ def test_agents_of_a_cluster(manager_api: Api, repository: Repository, capsys: p
         assert main(["agent", "list", "--clone", str(repository.folder), *cluster, "-o", "json"]) == 0
         out = capsys.readouterr().out
         assert main(["agent", "revoke", "vehicle-99", "--reason", "mistyped", *cluster]) == 2
-        assert "no agent vehicle-99 is declared; there are: vehicle-00, vehicle-01," in capsys.readouterr().err
+        assert (
+            "no agent vehicle-99 is declared; did you mean vehicle-00 or vehicle-01? there are: "
+            in capsys.readouterr().err
+        )
     finally:
         manager_api.delete(f"{where}/rights")
     found = {row["agent"]: row for row in json.loads(out)["agents"]}

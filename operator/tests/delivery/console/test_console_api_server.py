@@ -23,7 +23,7 @@ from tests.stages.kubernetes.api_calls import ARGOCD, TASKS, Api
 from tests.stages.kubernetes.api_server import ApiServerProcess
 from tests.stages.waiting import until
 
-pytestmark = pytest.mark.toolchain
+pytestmark = [pytest.mark.toolchain, pytest.mark.thorough]
 NODE, TASK = "/api/v1/nodes/cloud-0", "console-meeting"
 
 

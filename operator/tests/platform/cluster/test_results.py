@@ -136,16 +136,24 @@ def seeing(stage: Stage) -> Iterator[None]:
         yield
 
 
+def is_known(platform: Platform, chart: str, version: str) -> bool:
+    """Whether the manager has read a catalogue with this version: tasks before that get the one before."""
+    entries = platform.access.service_json("manager", "catalogue", 8080)["entries"]
+    return any((entry["name"], entry["version"]) == (chart, version) for entry in entries if "version" in entry)
+
+
 def test_a_version_stays_by_its_results_and_goes_by_them(platform: Platform, stage: Stage, tmp_path: Path) -> None:
     sources(tmp_path)
     publish.publish(platform.access.kubeconfig, extra=(CHART, "object-tracking"))
     assert publish_application(platform, tmp_path, WATCH).verdict in (PUBLISHED, UNCHANGED)
+    eventually(f"the manager knows {CHART} {SOURCE}", lambda: is_known(platform, CHART, SOURCE))
     put_policy(stage, RULE, "updates-results")
     there = {"agents": [VEHICLE]}
     stage.submit("cloud-0", "results", application=CHART, parameters={"sensor": VEHICLE}, placement=there)
     stage.submit("cloud-0", "results-watch", application=WATCH, parameters={"vehicle": VEHICLE})
     stage.await_running(RELEASE, f"{VEHICLE}/{WATCH}-{VEHICLE}")
     runs = stage.annotation(RELEASE, "chart-version")
+    assert runs == SOURCE
     with seeing(stage):
         stage.receive(BRIDGE, "/vehicles/vehicle_01/objects", "geometry_msgs/msg/PoseArray")
 
