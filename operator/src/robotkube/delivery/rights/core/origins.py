@@ -3,7 +3,7 @@ so."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from robotkube.delivery.deployment.core.policies.agents import PATH as AGENTS_PATH
@@ -36,17 +36,8 @@ class Revocation:
 def revocations(commits: Iterable[HistoryCommit]) -> dict[str, Revocation]:
     """Who is revoked at the last of main's commits (oldest first); a file that cannot be read changes nothing, as at
     the broker."""
-    standing: dict[str, Revocation] = {}
-    for commit in commits:
-        if REVOKED_PATH in commit.changes:
-            text = commit.changes[REVOKED_PATH]
-            try:
-                named = {} if text is None else read_revoked(text)
-            except DocumentError:
-                continue
-            since = {agent: standing[agent].commit if agent in standing else commit for agent in named}
-            standing = {agent: Revocation(reason, since[agent]) for agent, reason in named.items()}
-    return standing
+    named, since = _entries(commits, REVOKED_PATH, lambda text: {} if text is None else read_revoked(text))
+    return {agent: Revocation(reason, since[agent]) for agent, reason in named.items()}
 
 
 @dataclass(frozen=True)
@@ -60,16 +51,24 @@ class Enrollment:
 def enrollments(commits: Iterable[HistoryCommit]) -> dict[str, Enrollment]:
     """Who is enrolled at the last of main's commits (oldest first); a file that cannot be read changes nothing, as at
     the broker."""
-    standing: dict[str, Enrollment] = {}
+    named, since = _entries(commits, AGENTS_PATH, read_enrolled)
+    return {agent: Enrollment(role, since[agent]) for agent, role in named.items()}
+
+
+def _entries(
+    commits: Iterable[HistoryCommit], path: str, read: Callable[[str | None], Mapping[str, str]]
+) -> tuple[Mapping[str, str], dict[str, HistoryCommit]]:
+    """What the file at `path` says of each agent at the last of the commits, and since which commit it names it."""
+    named: Mapping[str, str] = {}
+    since: dict[str, HistoryCommit] = {}
     for commit in commits:
-        if AGENTS_PATH in commit.changes:
+        if path in commit.changes:
             try:
-                named = read_enrolled(commit.changes[AGENTS_PATH])
+                named = read(commit.changes[path])
             except DocumentError:
                 continue
-            since = {agent: standing[agent].commit if agent in standing else commit for agent in named}
-            standing = {agent: Enrollment(role, since[agent]) for agent, role in named.items()}
-    return standing
+            since = {agent: since.get(agent, commit) for agent in named}
+    return named, since
 
 
 def origins(commits: Iterable[HistoryCommit], agent: AgentAccount) -> list[Origin]:
