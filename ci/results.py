@@ -2,7 +2,7 @@
 
 One JSON line per fact in the file named by ROBOTKUBE_TEST_RESULTS: {"test": <node id>, "outcome": "started" | "passed"
 | "failed" | "skipped", "why": <what a failure said>}. A test's outcome is the worst of its lines; one that only started
-died with its run.
+died with its run, of whose end a line {"ended": <why>} tells if pytest itself could still say it.
 """
 
 from __future__ import annotations
@@ -35,19 +35,23 @@ class Counts:
     failures: Mapping[str, str] = field(default_factory=dict, compare=False)
 
 
-def read(path: Path) -> Counts:
-    """Counts of a results file; all zero when the run did not even begin."""
+def read(path: Path, code: int = 0) -> Counts:
+    """Counts of a results file; all zero when the run did not even begin. `code` is what pytest ended with."""
     outcomes: dict[str, str] = {}
     failures: dict[str, str] = {}
+    end = f"pytest ended by {signal.Signals(-code).name}" if code < 0 else f"pytest ended with {code}"
     for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
         fact = json.loads(line)
+        if "ended" in fact:
+            end = fact["ended"]
+            continue
         known = outcomes.get(fact["test"], "started")
         outcomes[fact["test"]] = max(known, fact["outcome"], key=WORST_LAST.index)
         if fact["outcome"] == "failed":
             failures.setdefault(fact["test"], fact["why"])
     ends = list(outcomes.values())
     died = tuple(test for test, outcome in outcomes.items() if outcome == "started")
-    failures |= dict.fromkeys(died, "the run ended in the middle of it")
+    failures |= dict.fromkeys(died, f"the run ended in the middle of it: {end}")
     return Counts(ends.count("passed"), ends.count("failed") + len(died), ends.count("skipped"), died, failures)
 
 
@@ -93,14 +97,23 @@ class Recorder:
 
     def pytest_keyboard_interrupt(self) -> None:
         """Interrupt the others now: pytest-xdist does it after five seconds, of the ten until it kills them."""
+        self.append({"ended": "pytest was interrupted"})
         for process in self.processes:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(process, signal.SIGINT)
 
+    def pytest_internalerror(self, excrepr: object) -> None:
+        """What pytest, or a plugin of it, did not expect; also in a process that runs tests for this one."""
+        self.append({"ended": f"internal error: {' '.join(str(excrepr).split())[-WHY_CHARACTERS_MAX:]}"})
+
     def note(self, test: str, outcome: str, why: str = "") -> None:
+        """Add a test's line."""
+        self.append({"test": test, "outcome": outcome, "why": why})
+
+    def append(self, fact: Mapping[str, str]) -> None:
         """One line."""
         with self.path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps({"test": test, "outcome": outcome, "why": why}) + "\n")
+            file.write(json.dumps(fact) + "\n")
 
     def pytest_runtest_logstart(self, nodeid: str) -> None:
         self.note(nodeid, "started")

@@ -103,7 +103,7 @@ def run_pytest(group: Group, places: Sequence[str] = (TESTS,), output: Path | No
         command += [*unread(group, places), *places]
         environment[results.VARIABLE] = str(report)
         code = child_runs.run(command, TOP, group.name, group.seconds_max, environment, output)
-        counts = results.read(report)
+        counts = results.read(report, code)
     if not counts.passed + counts.failed + counts.skipped:
         print(f"{group.name}: no test was run (pytest ended with {code})", flush=True)
     if code and not counts.failed:

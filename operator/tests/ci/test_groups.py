@@ -73,7 +73,7 @@ def counted(folder: Path, name: str, text: str, processes: int = 1) -> tuple[int
     command = [sys.executable, "-m", "pytest", "-q", "-p", "ci.results", "-p", "no:cacheprovider", str(folder)]
     command += groups.spread(processes)
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, timeout=SECONDS_MAX, check=False)
-    return done.returncode, results.read(folder / "results")
+    return done.returncode, results.read(folder / "results", done.returncode)
 
 
 @pytest.mark.parametrize("marks", [c for n in range(5) for c in itertools.combinations(MARKS, n)], ids=" and ".join)
@@ -188,6 +188,32 @@ def test_a_run_that_is_killed_keeps_its_counts(tmp_path: Path) -> None:
     code, counts = counted(tmp_path, "dying", DYING)
     assert code == -9
     assert counts == results.Counts(1, 1, 0, ("test_dying.py::test_kills_the_run",))
+    assert counts.failures["test_dying.py::test_kills_the_run"].endswith("in the middle of it: pytest ended by SIGKILL")
+
+
+INTERRUPTED = """
+import os, pathlib, signal, time
+def test_ends():
+    noted = pathlib.Path(os.environ["ROBOTKUBE_TEST_RESULTS"])
+    while "test_ends" not in (noted.read_text() if noted.exists() else ""):
+        time.sleep(0.05)
+    os.kill(os.getppid(), signal.SIGINT)
+    time.sleep(60)
+"""
+WITH_ERROR = """
+class Plugin:
+    def pytest_runtest_logreport(self, report): raise ValueError("of a plugin")
+def test_ends(request): request.config.pluginmanager.register(Plugin())
+"""
+
+
+@pytest.mark.parametrize(
+    ("text", "said"), [(INTERRUPTED, "pytest was interrupted"), (WITH_ERROR, "ValueError: of a plugin")]
+)
+def test_a_run_that_ends_without_a_failure_says_why(tmp_path: Path, text: str, said: str) -> None:
+    """The process that started the others is interrupted, or one of them has an error of its own."""
+    _, counts = counted(tmp_path, "ending", text, 2)
+    assert said in counts.failures["test_ending.py::test_ends"]
 
 
 def test_a_run_of_which_one_process_is_killed_keeps_its_counts(tmp_path: Path) -> None:

@@ -109,14 +109,6 @@ def broker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[pods.Broker]:
     found.stop()
 
 
-@pytest.fixture(autouse=True)
-def nothing_left(api: Api) -> Iterator[None]:
-    """The API server is shared with other tests, which look at all tasks."""
-    yield
-    for item in json.loads(call(api.client, "GET", TASKS).data)["items"]:
-        api.delete(f"{TASKS}/{item['metadata']['name']}")
-
-
 @pytest.fixture
 def operator(broker: pods.Broker) -> Iterator[Operator]:
     found = Operator(broker.port)

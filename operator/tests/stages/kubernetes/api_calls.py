@@ -8,6 +8,8 @@ from typing import Any
 import yaml
 from kubernetes import client
 
+from robotkube.delivery.tasks.adapters.kubernetes_tasks import task_path
+from robotkube.delivery.tasks.core.task_description import GROUP, PLURAL, VERSION
 from robotkube.errors import UnavailableError
 from robotkube.foundation.kubernetes.adapters.client import call
 from tests.stages.kubernetes import argocd_definitions
@@ -77,6 +79,11 @@ class Api:
         document = {"apiVersion": "robotkube.io/v1alpha1", "kind": "TaskDescription", "metadata": metadata}
         wanted = {key: value for key, value in {**full, **spec}.items() if value is not None}
         self.post(TASKS, {**document, "spec": wanted})
+
+    def withdraw_tasks(self) -> None:
+        """Delete the tasks of all namespaces."""
+        for task in self.get(f"/apis/{GROUP}/{VERSION}/{PLURAL}")["items"]:
+            self.delete(task_path(task["metadata"]["namespace"], task["metadata"]["name"]))
 
 
 def prepare(api: Api) -> None:

@@ -31,6 +31,8 @@ def api_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ApiServerPr
 
 @pytest.fixture
 def api(api_server: ApiServerProcess) -> Iterator[Api]:
+    """As an administrator. The API server is that of many tests: what a test asked for goes with it."""
     made = Api(api_client(str(api_server.kubeconfig)))
     yield made
+    made.withdraw_tasks()
     made.client.rest_client.pool_manager.clear()

@@ -36,7 +36,8 @@ def names(cluster: KubernetesCluster) -> list[str]:
 def test_only_the_namespaces_of_the_scope_are_seen(api_server: ApiServerProcess, api: Api) -> None:
     with watching(api_server, []) as everything, watching(api_server, [], "argocd", "default") as scoped:
         api.task("elsewhere")
-        until(lambda: names(everything) == ["elsewhere"], "task seen by whoever sees everything")
+        until(lambda: names(everything), "task seen by whoever sees everything")
+        assert names(everything) == ["elsewhere"]
         assert names(scoped) == []
         path = "/apis/robotkube.io/v1alpha1/namespaces/default/taskdescriptions"
         kind = {"apiVersion": "robotkube.io/v1alpha1", "kind": "TaskDescription"}
