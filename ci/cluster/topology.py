@@ -26,8 +26,8 @@ MEMORY_MINIMUM_BYTES = 256 * 2**20
 NODE_KEYS = {"name", "count", "role", "agent", "capacity", "capabilities"}
 
 # In the world each of them is a machine of its own. Where all share one, vehicles go on as they would there, all wait
-# for the cloud, and the platform gets what is left.
-WEIGHTS = {"platform": 100, "cloud": 800}
+# for the cloud, and the platform gets what is left, but for the broker: all vehicles wait for that.
+WEIGHTS = {"platform": 200, "cloud": 800}
 WEIGHT = 300
 
 
