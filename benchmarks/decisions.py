@@ -76,9 +76,9 @@ def document(task: Any) -> dict[str, Any]:
 class Manager:
     """A planner as its process has it, with everything it reads in memory."""
 
-    def __init__(self, validate: Any) -> None:
+    def __init__(self, schemas: Any) -> None:
         render = imported("Jinja2Templates")().render
-        self._inventory = imported("synthetic")(render, validate)
+        self._inventory = imported("synthetic")(render, schemas.validate)
         self._check()
         known: Any = imported("MemoryTasks")
 
@@ -93,7 +93,7 @@ class Manager:
         self._repository.push(self._files(), "the demands before")
         self._main = imported("MainReader")(self._repository)
         self._main.read()
-        self._planner = self._started(render, validate)
+        self._planner = self._started(render, schemas)
         self._rest = imported("Sweeper")(time.monotonic)
 
     def _check(self) -> None:
@@ -112,11 +112,15 @@ class Manager:
         files = {path: release(known) for path, known in tree.releases.items()}
         return files | {path: source(known) for path, known in tree.sources.items()}
 
-    def _started(self, render: Any, validate: Any) -> Any:
+    def _started(self, render: Any, schemas: Any) -> Any:
         settings = imported("ManagerSettings")(self._inventory.agents, "oci://forge.example/verified")
         catalogue = KnownCatalogue(self._inventory.catalogue, self._inventory.schema)
         cluster = imported("MemoryCluster")(list(self._inventory.nodes))
-        return imported("Planner")(settings, self._tasks, cluster, catalogue, self._main, render, validate)
+        given = (settings, self._tasks, cluster, catalogue, self._main, render)
+        if not hasattr(schemas, "ahead"):  # before values were checked while the planner goes on
+            return imported("Planner")(*given, schemas.validate)
+        ahead = schemas.ahead()
+        return imported("Planner")(*given, ahead.validate, settled=ahead.settled)
 
     def still(self, number: int) -> float:
         """Milliseconds of the decision about one new task, which is gone afterwards."""
@@ -155,7 +159,7 @@ def measured(count: int) -> dict[str, list[float]]:
     """Milliseconds of each decision, main still and then moving, and of each reading of main."""
     schemas = imported("BoundedSchemas")()
     try:
-        manager = Manager(schemas.validate)
+        manager = Manager(schemas)
         still = [manager.still(number) for number in range(WARMING_UP + count)][WARMING_UP:]
         first = WARMING_UP + count
         moving = [manager.moving(first + number) for number in range(WARMING_UP + count)][WARMING_UP:]

@@ -9,6 +9,7 @@ import yaml
 
 from robotkube.delivery.deployment.core.commit_messages import read_message
 from robotkube.delivery.gate.core.verdict_comments import refusal_text
+from robotkube.delivery.manager.loops import planner
 from robotkube.delivery.manager.loops.reconciler import CATALOGUE
 from robotkube.errors import InputError, RefusalError
 from robotkube.registry.catalogue.core.catalogue import read_catalogue
@@ -192,6 +193,32 @@ def test_refused_tasks_have_the_reason_in_their_status(
     assert stage.tasks.condition(key, "Accepted") == ("False", reason)
     assert text in stage.tasks.objects[key]["status"]["conditions"][0]["message"]
     assert len(stage.forge.pulls) == 1
+
+
+@pytest.mark.parametrize(
+    "vehicles", [[], ["vehicle-00", "vehicle-01"]], ids=["values that are not valid", "valid ones"]
+)
+def test_an_error_that_values_caused_before_they_were_checked_is_none(
+    stage: Stage, monkeypatch: pytest.MonkeyPatch, vehicles: list[str]
+) -> None:
+    """Values are composed while they are checked. An error that has another cause is not lost."""
+    plain, errors = planner.resolve, [TypeError("no number")]
+
+    def resolve(wanted: Any, *arguments: Any) -> Any:
+        resolution = plain(wanted, *arguments)
+        if errors and any(demand.task for demand in wanted):
+            raise errors.pop()
+        return resolution
+
+    monkeypatch.setattr(planner, "resolve", resolve)
+    key = stage.ask(parameters={"vehicles": vehicles})
+    if vehicles:
+        with pytest.raises(TypeError, match="no number"):
+            stage.go()
+    else:
+        stage.go()
+        assert stage.tasks.condition(key, "Accepted") == ("False", "InvalidParameters")
+    assert errors == []
 
 
 def test_a_refused_task_is_accepted_when_its_inputs_change(stage: Stage) -> None:

@@ -14,7 +14,8 @@ from robotkube.foundation.documents.adapters import json_schema
 from robotkube.foundation.documents.core.yaml_codec import read_mapping, write_mapping
 from robotkube.foundation.runtime.adapters import bounded_process
 from robotkube.foundation.runtime.adapters.bounded_process import BoundedProcess
-from robotkube.registry.catalogue.adapters.bounded_validation import COMMAND, BoundedSchemas
+from robotkube.registry.catalogue.adapters.bounded_validation import COMMAND, BoundedSchemas, ValidationAhead
+from tests.stages.registry.answering import Answering
 from tests.stages.registry.publication_in_memory import PublicationStage
 from tests.stages.registry.submissions import application
 
@@ -65,6 +66,45 @@ def test_what_takes_for_ever_is_refused_and_the_next_is_checked(
     assert schemas.validate(GOOD, {"name": "abc"}) == []
     with pytest.raises(InputError, match="simplify patterns"):
         schemas.tools().validate(schema, value)
+
+
+def test_calls_that_are_sent_ahead_are_answered_each_by_itself() -> None:
+    """Also behind one that took too much, and when they or their answers are more than a pipe holds."""
+    process = BoundedProcess(COMMAND)
+    long = {"name": ["x" * 10_000] * 5}
+    values = [{"name": "abc"}, {"name": 3}, long, VALUE, {"name": "ABC"}, *[long] * 20, *[{"name": "abc"}] * 100]
+    asked = [process.ask("validate", SLOW if value is VALUE else GOOD, value, "values") for value in values]
+    answers = [one.result() for one in reversed(asked) if one.error is None and one is not asked[3]]
+    others = [value for value in values if value is not VALUE]
+    assert answers == [json_schema.validate(GOOD, value, "values") for value in reversed(others)]
+    with pytest.raises(InputError, match="simplify patterns"):
+        asked[3].result()
+    late = process.ask("validate", GOOD, {"name": 3}, "values")
+    process.close()
+    assert late.result() == json_schema.validate(GOOD, {"name": 3}, "values")
+
+
+def test_what_was_taken_for_valid_is_told_and_not_taken_for_it_again() -> None:
+    process = Answering()
+    ahead = ValidationAhead(process)
+    bad, good = {"name": "ABC"}, {"name": "abc"}
+    assert [ahead.validate(GOOD, value) for value in (good, bad)] == [[], []]
+    assert not ahead.settled()
+    problems = json_schema.validate(GOOD, bad)
+    assert ahead.validate(GOOD, bad) == problems
+    assert process.asked == 2, "what was refused is known"
+    assert ahead.validate(GOOD, {"name": "ABD"}) != [], "until it is settled again, nothing is taken for valid"
+    assert ahead.settled()
+    assert ahead.validate(GOOD, {"name": "ABE"}) == []
+    assert ahead.validate({**GOOD}, bad) == [], "another schema has answers of its own"
+    assert not ahead.settled()
+
+
+def test_what_takes_too_much_was_not_valid(schemas: BoundedSchemas) -> None:
+    ahead = schemas.ahead()
+    assert ahead.validate(SLOW, VALUE, "spec.values") == []
+    assert not ahead.settled()
+    assert ahead.validate(SLOW, VALUE, "spec.values")[0].startswith(f"spec.values: {TOO_MUCH}")
 
 
 def test_a_process_that_went_is_started_again() -> None:

@@ -26,8 +26,8 @@ from robotkube.delivery.manager.loops.reconciler import (
 )
 from robotkube.delivery.manager.loops.verified_images import VerifiedImages
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
-from robotkube.foundation.documents.adapters.json_schema import validate
 from robotkube.foundation.documents.core.digests import sha256
+from robotkube.registry.catalogue.adapters.bounded_validation import ValidationAhead
 from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue
 from robotkube.registry.charts.core.packing import published_digest
 from robotkube.registry.charts.ports import RenderedImages
@@ -37,6 +37,7 @@ from robotkube.testing.clusters import MemoryArgoCD, MemoryCluster, MemoryTasks
 from robotkube.testing.forges import MemoryForge, MemoryRepository
 from robotkube.testing.leadership import MemoryLeadership
 from tests.stages.paths import REGISTRY, REPOSITORY
+from tests.stages.registry.answering import Answering
 from tests.stages.registry.signed_evidence import (
     PLATFORM,
     POLICY_TEXT,
@@ -146,7 +147,9 @@ class Stage:
         catalogue, main = AssuredCatalogue(self.catalogue, self.verifier), MainReader(self.repository)
         render = Jinja2Templates().render
         looked_up = VerifiedImages(self.images)
-        planner = Planner(self.settings, self.tasks, self.cluster, catalogue, main, render, validate, images=looked_up)
+        ahead = ValidationAhead(Answering())
+        given = (self.settings, self.tasks, self.cluster, catalogue, main, render, ahead.validate)
+        planner = Planner(*given, images=looked_up, settled=ahead.settled)
         observer = PlanObserver(self.cluster, self.argocd, at_once, now_ns, monotonic)
         forge = (self.repository, self.forge, self.forge)
         ports = ManagerPorts(self.tasks, self.cluster, *forge, self.leadership, broken_links=self.broken_links)

@@ -205,9 +205,11 @@ def build_manager(
     argocd = ArgoCDServer(configuration.argocd_url, *argocd_account, hook, configuration.argocd_project)
     render = Jinja2Templates().render
     images = _images(configuration, renderer) if renderer else None
+    ahead = schemas.ahead()
     planner = Planner(
-        *(configuration.manager, cluster, cluster, catalogue, main, render, schemas.validate, holds),
+        *(configuration.manager, cluster, cluster, catalogue, main, render, ahead.validate, holds),
         VerifiedImages(images),
+        ahead.settled,
     )
     observer = PlanObserver(cluster, argocd, BackgroundCall(), time.time_ns, time.monotonic)
     broken = functools.partial(_broken_links, links, cluster)

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any
 
 from robotkube.delivery.deployment.core.commit_messages import NODE, REPAIR, REVERTS_MAX
@@ -49,6 +50,7 @@ from robotkube.delivery.manager.loops.constraints import Constraints
 from robotkube.delivery.manager.loops.demand_ledger import DemandLedger
 from robotkube.delivery.manager.loops.initial_refusals import InitialRefusals
 from robotkube.delivery.manager.loops.main_reader import MainReader
+from robotkube.delivery.manager.loops.memo_of_valid import MemoOfValid
 from robotkube.delivery.manager.loops.proposals.plan_records import PlanRecord
 from robotkube.delivery.manager.loops.updates.update_planner import UpdatePlanner
 from robotkube.delivery.manager.loops.verified_images import INITIAL, ImageRefusals, VerifiedImages, blamed
@@ -92,9 +94,10 @@ class Planner:
         validate: Validate,
         holds: Callable[[], Sequence[DeviceHold]] = tuple,
         images: VerifiedImages | None = None,
+        settled: Callable[[], bool] = lambda: True,
     ) -> None:
         """`holds` are those that devices report by message; those on Nodes are read from the cluster. `images` looks up
-        what releases would run."""
+        what releases would run. `validate` and `settled` belong together: see MemoOfValid."""
         self._settings = settings
         self._store = tasks
         self._cluster = cluster
@@ -108,7 +111,7 @@ class Planner:
         self._image_refusals = ImageRefusals()
         self._ledger = DemandLedger()
         self._lock = threading.Lock()
-        self._memo = Memo()
+        self._memo = MemoOfValid(settled)
         self.updating = UpdatePlanner(main.repository, cluster, main.notes)
         self._known_fleet: tuple[Sequence[Agent], tuple[NodeState, ...], int, int, Fleet] | None = None
         self._tasks_per_plan = TASKS_PER_PLAN_MAX
@@ -421,14 +424,14 @@ class Planner:
         wanted = [*initial, *sent_to_others(inputs.others, own_fleet), *self._demands_of(tasks)]
         refused = self._image_refusals.standing(self._inputs_of)
 
-        def composed(demands: Sequence[Demand]) -> Composition:
+        def composed(memo: Memo, demands: Sequence[Demand]) -> Composition:
             if not refused:
-                return compose(demands, inputs, self._memo)
-            composition = compose([one for one in demands if one.key not in refused], inputs, self._memo)
+                return compose(demands, inputs, memo)
+            composition = compose([one for one in demands if one.key not in refused], inputs, memo)
             left_out = {one.key: refused[one.key] for one in demands if one.key in refused}
             return replace(composition, outcomes={**composition.outcomes, **left_out})
 
-        return resolve(wanted, composed, history, self._now_ns)
+        return self._memo.used(lambda memo: resolve(wanted, partial(composed, memo), history, self._now_ns))
 
     def _demands_of(self, tasks: Sequence[TaskDescription]) -> list[Demand]:
         """A demand for each task; the same object as long as the task is the same."""
