@@ -81,13 +81,13 @@ def test_the_same_digests_may_run_wherever_images_are_pulled_from(helm: Any, bun
     """Admission and inspection name digests; moving the images lets no other one run, and strands none."""
     for more in ({}, {"global": {"imageRegistry": REGISTRY}}):
         rendered = helm.template(bundled, **FLEET, admission={"enabled": True}, **more)
-        data = {one["metadata"]["name"]: one["data"] for one in rendered.of_kind("ConfigMap")}
+        data = {one["metadata"]["name"]: one.get("data") for one in rendered.of_kind("ConfigMap")}
         running = {reference.rpartition("@sha256:")[2] for reference in images(rendered)}
         listed = {key.removeprefix("platform.") for key in data["admission-platform"]}
         known = yaml.safe_load(data["inspector"]["config.yaml"])["images"]
         everything = {reference.rpartition("@sha256:")[2] for reference in REFERENCES.values()}
         assert running <= listed <= everything
-        assert {reference.rpartition("@sha256:")[2] for reference in known} == everything
+        assert running <= {reference.rpartition("@sha256:")[2] for reference in known} <= everything
 
 
 def test_a_bundles_chart_needs_nothing_but_the_fleet(helm: Any, bundled: Path) -> None:
