@@ -55,6 +55,17 @@ AROUND_POLICIES = (
         Refused("pod … is not what the chart of its release renders", f"{INSPECTION}::test_a_pod_that_was_resized"),
     ),
     Attack(
+        "node-relabelled",
+        "Who has a machine's kubelet labels its Node as the platform's, or another agent's, to have their pods come",
+        NO_DEMAND,
+        NOT_PROPOSED,
+        Refused(
+            "labels of Node … changed by …: whose machine it is, and what for (robotkube.io/), is not its own to say",
+            "registry/admission/test_nodes_api_server.py::test_a_kubelet_does_not_say_whose_its_machine_is",
+        ),
+        NOTHING_RUNS,
+    ),
+    Attack(
         "link-in-a-volume",
         "A folder of the machine becomes a volume, by a symbolic link that a pod left in its own (embedded cluster)",
         NO_DEMAND,

@@ -2,7 +2,7 @@
 {{- define "robotkube.console" -}}
 {{- $console := dict "enabled" false "anybodyReads" false "hosts" list "proxies" list "poseTopic" "mqtt/vehicles/{agent}/pose" }}
 {{- $_ := set $console "links" (dict "forge" "" "argocd" "") }}
-{{- $_ := set $console "signIn" (dict "issuer" "" "clientId" "" "secret" "" "url" "" "groups" list "usernameClaim" "preferred_username" "groupsClaim" "groups") }}
+{{- $_ := set $console "signIn" (dict "issuer" "" "clientId" "" "secret" "" "url" "" "groups" list "usernameClaim" "preferred_username" "groupsClaim" "groups" "scopes" list) }}
 {{- $_ := set $console "resources" (dict "requests" (dict "cpu" "50m" "memory" "128Mi") "limits" (dict "memory" "512Mi")) }}
 {{- range $key, $value := .Values.console | default dict }}
 {{- if has $key (list "links" "signIn") }}{{ $value = merge (deepCopy $value) (get $console $key) }}{{ end }}
@@ -58,6 +58,9 @@ sign_in:
   groups: {{ toJson $console.signIn.groups }}
   username_claim: {{ $console.signIn.usernameClaim }}
   groups_claim: {{ $console.signIn.groupsClaim }}
+  {{- with $console.signIn.scopes }}
+  scopes: {{ toJson . }}
+  {{- end }}
 {{- else }}
 anybody_reads: {{ $console.anybodyReads }}
 {{- end }}

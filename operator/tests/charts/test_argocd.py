@@ -141,6 +141,25 @@ def test_other_accounts_have_rights_in_their_namespace_only(argocd: list[Object]
     assert roles == {name: given[name] for name in roles}
 
 
+def test_a_secret_is_a_variable_where_argo_cd_reads_it_from_one_alone(argocd: list[Object]) -> None:
+    """Its cache's password; the other one only has a container wait for its key."""
+    pods = {
+        one["metadata"]["name"]: one["spec"]["template"]["spec"] for one in argocd if "template" in one.get("spec", {})
+    }
+    found = {
+        (name, variable["name"])
+        for name, spec in pods.items()
+        for container in [*spec.get("initContainers", []), *spec["containers"]]
+        for variable in container.get("env", [])
+        if "secretKeyRef" in variable.get("valueFrom", {})
+    }
+    parts = ("application-controller", "redis", "repo-server", "server")
+    assert found == {
+        *((f"argocd-{part}", "REDIS_PASSWORD") for part in parts),
+        ("argocd-applicationset-controller", "ROBOTKUBE_START_AFTER_SERVER_KEY"),
+    }
+
+
 def test_a_container_holds_a_token_only_if_it_asks_the_api_server(argocd: list[Object]) -> None:
     pods = {
         o["metadata"]["name"]: pod(argocd, o["metadata"]["name"]) for o in argocd if "template" in o.get("spec", {})

@@ -66,14 +66,33 @@ def test_what_is_no_registry_is_refused(helm: Any) -> None:
     assert "/global/imageRegistry" in said
 
 
-def test_a_bundles_chart_needs_nothing_but_the_fleet(helm: Any, tmp_path: Path) -> None:
+@pytest.fixture
+def bundled(tmp_path: Path) -> Path:
+    """The platform's chart as a bundle has it."""
     packed = bundled_chart(
         PLATFORM, REFERENCES, {"key-1": "-----BEGIN PUBLIC KEY-----\nMCow\n-----END PUBLIC KEY-----\n"}
     )
     archive = tmp_path / "robotkube.tgz"
     archive.write_bytes(packed.archive)
+    return archive
+
+
+def test_the_same_digests_may_run_wherever_images_are_pulled_from(helm: Any, bundled: Path) -> None:
+    """Admission and inspection name digests; moving the images lets no other one run, and strands none."""
+    for more in ({}, {"global": {"imageRegistry": REGISTRY}}):
+        rendered = helm.template(bundled, **FLEET, admission={"enabled": True}, **more)
+        data = {one["metadata"]["name"]: one.get("data") for one in rendered.of_kind("ConfigMap")}
+        running = {reference.rpartition("@sha256:")[2] for reference in images(rendered)}
+        listed = {key.removeprefix("platform.") for key in data["admission-platform"]}
+        known = yaml.safe_load(data["inspector"]["config.yaml"])["images"]
+        everything = {reference.rpartition("@sha256:")[2] for reference in REFERENCES.values()}
+        assert running <= listed <= everything
+        assert running <= {reference.rpartition("@sha256:")[2] for reference in known} <= everything
+
+
+def test_a_bundles_chart_needs_nothing_but_the_fleet(helm: Any, bundled: Path) -> None:
     as_built, moved = (
-        helm.template(archive, **FLEET, **more) for more in ({}, {"global": {"imageRegistry": REGISTRY}})
+        helm.template(bundled, **FLEET, **more) for more in ({}, {"global": {"imageRegistry": REGISTRY}})
     )
     assert images(as_built) <= set(REFERENCES.values())
     assert images(moved) <= {f"{REGISTRY}/{reference.rpartition('/')[2]}" for reference in REFERENCES.values()}

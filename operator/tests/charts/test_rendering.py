@@ -331,6 +331,20 @@ def test_every_secret_that_settings_name_is_mounted(platform: Any, process: str)
         assert path in mounted or {f"{path}/username", f"{path}/password"} <= mounted, path
 
 
+def test_secrets_are_files_but_where_a_program_takes_none(platform: Any) -> None:
+    """A variable stands in what the process says of itself, and goes to the programs that it starts."""
+    found = {
+        (workload, variable["name"])
+        for workload, pod in platform.pods
+        for container in (*pod.get("initContainers", ()), *pod["containers"])
+        for variable in container.get("env", ())
+        if "secretKeyRef" in variable.get("valueFrom", {})
+    }
+    assert found <= {("StatefulSet/database", f"FERRETDB_SETUP_{what}") for what in ("USERNAME", "PASSWORD")}
+    containers = (one for _, pod in platform.pods for one in (*pod.get("initContainers", ()), *pod["containers"]))
+    assert [one["name"] for one in containers if one.get("envFrom")] == []
+
+
 def named_paths(value: Any) -> list[str]:
     if isinstance(value, dict):
         return [path for item in value.values() for path in named_paths(item)]

@@ -17,6 +17,7 @@ from robotkube.delivery.deployment.core.policies.agents import PATH, write_enrol
 from robotkube.delivery.deployment.core.policies.revoked import PATH as REVOKED_PATH
 from robotkube.delivery.deployment.core.policies.revoked import write_revoked
 from robotkube.delivery.rights.core.accounts import Accounts, AgentAccount
+from robotkube.errors import InputError
 
 NEW = "vehicle-16"
 ACCOUNTS = Accounts((AgentAccount("cloud-0", "cloud", "cloud-0"), AgentAccount(NEW, "", NEW)), ())
@@ -26,8 +27,9 @@ ENROLLED = {PATH: write_enrolled({NEW: "vehicle"})}
 class Cluster:
     """The API server, which keeps Secrets and takes bootstrap tokens, or not."""
 
-    def __init__(self, takes: bool = True) -> None:
+    def __init__(self, takes: bool = True, reviews_refused: bool = False) -> None:
         self.takes = takes
+        self.reviews_refused = reviews_refused
         self.secrets: dict[str, dict[str, Any]] = {}
 
     def api_server(self) -> tuple[str, str]:
@@ -36,6 +38,8 @@ class Cluster:
     def call(self, method: str, path: str, query: object = (), body: Any = None) -> SimpleNamespace:
         answer: Any = {}
         if path.startswith(joining.REVIEWS):
+            if self.reviews_refused:
+                raise InputError("tokenreviews is forbidden")
             answer = {"status": {"authenticated": self.takes}}
         elif method == "POST":
             self.secrets[body["metadata"]["name"]] = body
@@ -113,6 +117,16 @@ def test_where_no_bootstrap_tokens_are_taken_nothing_is_left(
     assert (
         "Start it with --enable-bootstrap-token-auth, or join the Node as your cluster does" in capsys.readouterr().err
     )
+    assert (list(tmp_path.iterdir()), cluster.secrets) == ([], {})
+
+
+def test_a_token_that_cannot_be_tried_is_not_left_behind(
+    run: Callable[..., int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Who may make Secrets and no TokenReviews would leave one that joins Nodes for an hour, and no file tells of."""
+    cluster = Cluster(reviews_refused=True)
+    assert run(cluster, ENROLLED, NEW, "--role", "vehicle") == 2
+    assert "tokenreviews is forbidden" in capsys.readouterr().err
     assert (list(tmp_path.iterdir()), cluster.secrets) == ([], {})
 
 

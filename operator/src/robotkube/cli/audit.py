@@ -18,6 +18,7 @@ from typing import Any
 
 from robotkube.cli.output import Table, lines
 from robotkube.cli.platform import Platform
+from robotkube.cli.terminal.printing import printable
 from robotkube.cli.terminal.tables import shortened
 from robotkube.delivery.audit.adapters.html_page import page
 from robotkube.delivery.audit.adapters.manifests import RegistryManifests, SavedManifests, SavingManifests
@@ -171,12 +172,7 @@ def text(document: Mapping[str, Any], digest: Callable[[str], str] = str) -> str
         "cannot be told",
         *(f"  {sentence}" for sentence in document["cannot_be_told"]),
     ]
-    return "".join(f"{_printable(line)}\n" for part in parts for line in part.split("\n"))
-
-
-def _printable(line: str) -> str:
-    """A line without what would steer a terminal: names and messages in Git are anybody's words."""
-    return "".join(character if character.isprintable() else "?" for character in line)
+    return printable("".join(f"{part}\n" for part in parts))
 
 
 def _section(title: str, columns: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -20,6 +20,7 @@ from types import ModuleType
 from robotkube.cli.output import FORMATS, Table, write
 from robotkube.cli.terminal import screen
 from robotkube.cli.terminal.bars import working
+from robotkube.cli.terminal.printing import printable
 from robotkube.errors import InputError, RefusalError, RobotKubeError, UnavailableError
 
 EXIT_DONE = 0
@@ -354,7 +355,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         table = options.command.run(options)
     except RobotKubeError as error:
-        print(f"robotkube: {error}", file=sys.stderr)
+        print(printable(f"robotkube: {error}"), file=sys.stderr)
         return exit_code(error)
     except KeyboardInterrupt:
         print("robotkube: interrupted", file=sys.stderr)
@@ -371,7 +372,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         codes = [code for problem, code in problems if problem]
         for problem, _ in problems:
             if problem:
-                print(f"robotkube: {problem}", file=sys.stderr)
+                print(printable(f"robotkube: {problem}"), file=sys.stderr)
         return codes[0] if codes else EXIT_DONE
     return EXIT_DONE
 

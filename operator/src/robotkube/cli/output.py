@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, TextIO
 
 from robotkube.cli.terminal import tables
+from robotkube.cli.terminal.printing import printable
 from robotkube.foundation.documents.core.patterns import DIGEST_IN_TEXT
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
 
@@ -53,7 +54,8 @@ def write(table: Table, form: str, stream: TextIO) -> None:
     if form == "json":
         stream.write(json.dumps(document, indent=2, sort_keys=True) + "\n")
     elif form == "table" and table.text:
-        stream.write((is_terminal and table.terminal_text) or table.text)
+        text = (is_terminal and table.terminal_text) or table.text
+        stream.write(printable(text) if stream.isatty() else text)
     elif form == "yaml" or table.single:
         stream.write(write_mapping(document))
     else:
@@ -94,7 +96,7 @@ def _cell(value: Any, unknown: str, characters_max: int | None) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     text = ",".join(map(str, value)) if isinstance(value, (list, tuple)) else str(value)
-    text = " ".join(text.split())
+    text = printable(" ".join(text.split()))
     if characters_max is None or len(text) <= characters_max or DIGEST_IN_TEXT.search(text):
         return text
     return f"{text[: characters_max - 1]}…"

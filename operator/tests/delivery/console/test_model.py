@@ -84,6 +84,25 @@ def test_of_too_many_events_those_that_ended_go_first(model: ReadModel, monkeypa
     assert set(model.documents(kinds.EVENTS)) == {"b", "c"}
 
 
+def test_who_tells_without_end_loses_his_own_events(model: ReadModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(model_module, "EVENTS_MAX", 4)
+    [edge] = given.edges("start")["events"]
+    model.put_events(given.edges("start", "stop"), "cloud-0/detector")
+    later = [{**edge, "id": str(number), "time": edge["time"] + number} for number in range(1, 9)]
+    model.put_events({"events": later}, "vehicle-00/detector")
+    assert set(model.documents(kinds.EVENTS)) == {given.EVENT, "6", "7", "8"}
+
+
+def test_an_agent_says_nothing_of_another_ones_events(model: ReadModel) -> None:
+    model.put_events(given.edges("start"), "cloud-0/detector")
+    [edge] = given.edges("stop")["events"]
+    model.put_events({"events": [{**edge, "rule": "another"}]}, "vehicle-00/detector")
+    event = model.documents(kinds.EVENTS)[given.EVENT]
+    assert (event["rule"], event["ended_ms"], event["detector"]) == ("near", None, "cloud-0/detector")
+    model.put_events(given.edges("stop"), "cloud-0/detector-after-a-restart")
+    assert model.documents(kinds.EVENTS)[given.EVENT]["ended_ms"] is not None
+
+
 def test_a_manager_that_is_away_leaves_what_it_said(model: ReadModel) -> None:
     pages, now = Pages(), 0.0
     reader = ManagerReader(model, pages, ManagerPages("manager", URL), lambda: now)

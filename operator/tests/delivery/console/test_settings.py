@@ -43,6 +43,10 @@ def test_signing_in(tmp_path: Path) -> None:
     assert sign_in is not None
     assert (sign_in.issuer, sign_in.client_secret, sign_in.encrypted) == ("https://forge.example", "s3cret", True)
     assert sign_in.redirect == "https://console.example/auth/callback"
+    assert sign_in.scopes == ("openid", "profile", "groups", "read:user")
+    asked = read(tmp_path, sign_in={**given, "scopes": ["openid"]}, anybody_reads=None).sign_in
+    assert asked is not None
+    assert asked.scopes == ("openid",)
 
 
 @pytest.mark.parametrize(
@@ -52,6 +56,7 @@ def test_signing_in(tmp_path: Path) -> None:
         ({"anybody_reads": False}, "sign_in: missing"),
         ({"sign_in": {**SIGN_IN, "groups": []}}, r"sign_in\.groups: must name one group or more"),
         ({"sign_in": {**SIGN_IN, "issuer": "forge"}}, r"sign_in\.issuer: 'forge' must match"),
+        ({"sign_in": {**SIGN_IN, "scopes": ["a b"]}}, r"sign_in\.scopes\[0\]: 'a b' must match"),
         ({"poses": {"topic": "mqtt/pose"}}, r"poses\.topic: must have \{agent\} as one of its levels"),
         ({"managers": [{"name": "m"}]}, r"managers\[0\]\.url: missing"),
         ({"agents": [{"name": "A b"}]}, r"agents\[0\]\.name: 'A b' must match"),

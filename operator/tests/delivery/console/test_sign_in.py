@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
 import pytest
 
@@ -16,7 +17,8 @@ from tests.delivery.console.provider import CLIENT, ISSUER, AccountProvider
 from tests.delivery.console.requests import Client
 
 URL, SECRET = "https://console.example", "for tests"
-SETTINGS = SignIn(ISSUER, CLIENT, "", URL, frozenset(["robotkube"]), "preferred_username", "groups")
+SCOPES = ("openid", "groups", "read:user")
+SETTINGS = SignIn(ISSUER, CLIENT, "", URL, frozenset(["robotkube"]), "preferred_username", "groups", SCOPES)
 
 
 class Browser:
@@ -64,6 +66,12 @@ def test_a_member_of_a_listed_group_reads(browser: Browser) -> None:
     assert browser.client.get("/api/snapshot").status_code == 200
     session = browser.session
     assert (session["user"], session["may_read"], session["may_write"]) == ("anna", True, False)
+
+
+def test_a_token_may_do_what_was_asked_for_and_no_more(browser: Browser) -> None:
+    """Gitea gives a token without scopes of its own every right of the person."""
+    asked = parse_qs(urlsplit(browser.client.get("/auth/login").headers["location"]).query)
+    assert asked["scope"] == [" ".join(SCOPES)]
 
 
 def test_the_cookie_is_for_the_browser_alone_and_for_tls(browser: Browser) -> None:
@@ -119,7 +127,7 @@ def test_a_client_with_a_secret_shows_it() -> None:
     provider = AccountProvider(preferred_username="anna", groups=["robotkube"])
     provider.secret = SECRET
     assert Browser(provider).sign_in().status_code == 403
-    settings = SignIn(ISSUER, CLIENT, SECRET, URL, frozenset(["robotkube"]), "preferred_username", "groups")
+    settings = SignIn(ISSUER, CLIENT, SECRET, URL, frozenset(["robotkube"]), "preferred_username", "groups", SCOPES)
     assert Browser(provider, settings).sign_in().status_code == 303
 
 

@@ -258,10 +258,15 @@ def test_every_answer_bounds_what_a_browser_does_with_it(console: Open) -> None:
         ("TESTSERVER:80", 200),
         ("10.0.0.7:8080", 200),
         ("[::1]:8080", 200),
+        ("[::1", 421),
+        ("[::1]evil.example", 421),
+        ("testserver:80@evil.example", 421),
+        ("10.0.0.7:8080/assets/#", 421),
     ],
 )
 def test_names_that_it_does_not_go_by_get_nothing(console: Open, host: str, status: int) -> None:
     assert console.get("/api/snapshot", headers={"Host": host}).status_code == status
+    assert console.get("/nowhere", headers={"Host": host}).status_code == (404 if status == 200 else status)
 
 
 def test_one_source_asks_at_most_so_often(console: Open) -> None:
@@ -284,6 +289,18 @@ def test_what_only_reads_takes_nothing(console: Open) -> None:
     for path in ("/api/snapshot", "/api/tasks", "/"):
         for method in ("POST", "PUT", "DELETE", "PATCH"):
             assert console.client.request(method, path).status_code == 405
+
+
+@pytest.mark.parametrize("said", ['{"m":NaN}', '{"m":-Infinity}', '{"m":1e999}', '{"\\ud800":1}', '{"m":"\\udfff"}'])
+def test_what_an_agent_says_keeps_nobody_from_reading(console: Open, said: str) -> None:
+    """A detector is a pod of an agent: its page may have what is no JSON for a browser, or no text at all."""
+    [edge] = given.edges("start")["events"]
+    console.model.put_events({"events": [{**edge, "id": "odd", "detail": json.loads(said)}]}, "vehicle-00/detector")
+    for path in ("/api/snapshot", "/api/changes?after=e.0", "/api/why/event/odd"):
+        answer = console.get(path)
+        assert answer.status_code == 200
+        json.loads(answer.text, parse_constant=pytest.fail)
+    assert "odd" in console.get("/api/snapshot").json()["items"]["events"]
 
 
 def test_a_large_snapshot_is_compressed(console: Open) -> None:

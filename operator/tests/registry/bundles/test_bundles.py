@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+import io
 import json
+import re
 import tarfile
 from pathlib import Path
 
 import pytest
 
 from robotkube.errors import InputError
-from robotkube.foundation.documents.core.digests import sha256
+from robotkube.foundation.documents.core.digests import canonical_json, sha256
 from robotkube.registry.bundles.adapters.accounts import RegistryAccount, given_account, kept_account
-from robotkube.registry.bundles.adapters.layouts import read_bundle
+from robotkube.registry.bundles.adapters.layouts import Layout, read_bundle
 from robotkube.registry.bundles.adapters.loading import load_k3s, write_images
 from robotkube.registry.bundles.adapters.making import BundleMaker
-from robotkube.registry.bundles.core.contents import CHART, IMAGE, read_contents, write_contents
+from robotkube.registry.bundles.core.contents import (
+    CHART,
+    CONTENTS_TYPE,
+    IMAGE,
+    BundleContents,
+    BundleItem,
+    read_contents,
+    write_contents,
+)
 from robotkube.registry.bundles.core.places import RegistryPlace, read_place
 from robotkube.registry.bundles.loops.comparing import differences
 from robotkube.registry.charts.adapters.oci import OciRegistry, read_layout
@@ -22,6 +32,8 @@ from robotkube.registry.images.adapters.bills import attach_document
 from tests.stages.registry.asking_registry import AskingRegistry, running
 from tests.stages.registry.made_archives import write_archive
 from tests.stages.registry.made_bundles import EVIDENCE, PREFIX, SHARED, VERSION, chart, made, without
+
+FOREIGN = "application/vnd.docker.image.rootfs.foreign.diff.tar.gzip"
 
 
 def test_everything_is_listed_with_the_digests_that_it_had(tmp_path: Path) -> None:
@@ -78,7 +90,7 @@ def test_the_index_names_what_is_attached_so_that_it_is_found(tmp_path: Path) ->
     named = {entry["digest"] for entry in index["manifests"]}
     assert named == {bundle.digest, *bundle.contents.digests()}
     [artefact] = [one for item in bundle.contents.of(IMAGE)[:1] for one in item.attached]
-    assert bundle.manifest(artefact.digest)["subject"]["digest"] == bundle.contents.of(IMAGE)[0].digest
+    assert json.loads(bundle.read(artefact.digest))["subject"]["digest"] == bundle.contents.of(IMAGE)[0].digest
 
 
 def test_an_image_without_one_of_its_layers_is_not_bundled(tmp_path: Path) -> None:
@@ -153,6 +165,83 @@ def test_a_bundle_that_lacks_a_layer_is_refused(tmp_path: Path) -> None:
 def test_a_list_of_another_form_is_refused(document: bytes, words: str) -> None:
     with pytest.raises(InputError, match=words):
         read_contents(document, "contents")
+
+
+def test_a_version_leads_to_no_other_file(tmp_path: Path) -> None:
+    """`bundle load --k3s` makes a file's name of it."""
+    BundleMaker("1/../../outside", PREFIX).write(tmp_path / "bundle.tar")
+    with pytest.raises(InputError, match=r"version: '1/\.\./\.\./outside' is none"):
+        read_bundle(tmp_path / "bundle.tar")
+
+
+@pytest.mark.parametrize(
+    ("items", "prefix", "words"),
+    [
+        ([("image", "../../elsewhere", "1")], PREFIX, "items: image '../../elsewhere' '1': no name with a version"),
+        ([("chart", "one", "1/2")], PREFIX, "items: chart 'one' '1/2': no name with a version"),
+        ([("image", "one", "1"), ("image", "one", "2")], PREFIX, "items: image one stands 2 times"),
+        ([("chart", "one", "1"), ("chart", "one", "1")], PREFIX, "items: chart one stands 2 times"),
+        ([], "", "prefix: '' is not of the form HOST/PATH"),
+    ],
+)
+def test_a_list_makes_no_other_places(items: list[tuple[str, str, str]], prefix: str, words: str) -> None:
+    """Of names, versions and prefix follow repositories, tags and what is replaced in manifests."""
+    listed = tuple(BundleItem(*item, "sha256:" + "0" * 64, 1) for item in items)
+    with pytest.raises(InputError, match=re.escape(words)):
+        read_contents(write_contents(BundleContents("1", prefix, listed)), "contents")
+
+
+def with_image(path: Path, manifest: object) -> Path:
+    """A bundle with an image of this manifest."""
+    layout = Layout()
+    item = BundleItem(IMAGE, "one", VERSION, layout.add(canonical_json(manifest)), 1)
+    listing = write_contents(BundleContents(VERSION, PREFIX, (item,)))
+    parts = {"config": part(b"{}"), "layers": [part(listing)]}
+    for blob in (b"{}", b"layer", listing):
+        layout.add(blob)
+    layout.name(layout.add(canonical_json(parts)), CONTENTS_TYPE)
+    layout.write(path)
+    return path
+
+
+def part(data: bytes, **more: object) -> dict[str, object]:
+    return {"digest": sha256(data), "size": len(data), **more}
+
+
+@pytest.mark.parametrize(
+    ("manifest", "words"),
+    [
+        ([], "is neither the manifest of an image nor an index"),
+        ({"config": part(b"{}")}, "is neither the manifest of an image nor an index"),
+        ({"manifests": [part(b"{}")]}, "is an index of several images"),
+        ({"config": part(b"{}"), "layers": [part(b"layer", urls=["https://elsewhere.example"])]}, "from elsewhere"),
+        ({"config": part(b"{}"), "layers": [part(b"layer", mediaType=FOREIGN)]}, "from elsewhere"),
+    ],
+)
+def test_an_image_is_in_the_bundle_or_the_bundle_is_refused(tmp_path: Path, manifest: object, words: str) -> None:
+    """Who copies an index or a foreign layer leaves parts of it out."""
+    with pytest.raises(InputError, match=words):
+        read_bundle(with_image(tmp_path / "bundle.tar", manifest))
+
+
+def test_links_and_sizes_that_lead_nowhere(tmp_path: Path) -> None:
+    link, back = tarfile.TarInfo("index.json"), tarfile.TarInfo("blobs/sha256/" + "0" * 64)
+    link.type, link.linkname, back.size = tarfile.SYMTYPE, "/etc/passwd", -tarfile.BLOCKSIZE
+    for name, headers in {"link.tar": [link], "back.tar": [tarfile.TarInfo("oci-layout"), back]}.items():
+        blocks = b"".join(header.tobuf(tarfile.GNU_FORMAT) for header in headers)
+        (tmp_path / name).write_bytes(blocks + b"\0" * tarfile.RECORDSIZE)
+        with pytest.raises(InputError, match=r"no bundle|no OCI layout archive"):
+            read_bundle(tmp_path / name)
+
+
+@pytest.mark.parametrize("index", ["[]", '{"manifests":["x"]}'])
+def test_an_index_of_another_form(tmp_path: Path, index: str) -> None:
+    with tarfile.open(tmp_path / "bundle.tar", "w") as tar:
+        header = tarfile.TarInfo("index.json")
+        header.size = len(index)
+        tar.addfile(header, io.BytesIO(index.encode()))
+    with pytest.raises(InputError, match=r"its index\.json is of another form"):
+        read_bundle(tmp_path / "bundle.tar")
 
 
 def test_images_alone_are_what_a_runtime_imports(tmp_path: Path) -> None:

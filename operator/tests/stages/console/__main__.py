@@ -24,7 +24,7 @@ POLICY = (
 SESSION = {"user": "operator-team", "groups": ["robotkube"], "may_read": True, "may_write": False, "csrf": "paper"}
 WHY_NOT = "This console only reads. Ask for tasks by `robotkube task submit`."
 REFUSALS = {
-    "signed-out": (401, "Not signed in", "Sign in with your account of the forge.", {"sign_in": "/auth/login"}),
+    "signed-out": (401, "Not signed in", "Sign in with your account of the provider.", {"sign_in": "/auth/login"}),
     "forbidden": (403, "Not of a group that reads", "Reading needs membership of the group robotkube.", {}),
     "away": (503, "Not ready", "The console has not read the platform yet.", {"retry_after_seconds": 2}),
 }

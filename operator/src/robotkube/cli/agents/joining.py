@@ -96,15 +96,25 @@ def join_file(token: JoinToken, role: str, server: str, authority: str) -> str:
 
 
 def give_token(platform: Platform, token: JoinToken) -> None:
-    """Have the API server know the token, and those of before of this agent no more. RefusalError when it takes no
-    bootstrap tokens: it is gone again then."""
+    """Have the API server know the token, and those of before of this agent no more. Whatever goes wrong, the token is
+    gone again then: RefusalError when it takes no bootstrap tokens, InputError when it may not be asked."""
     before = [one["metadata"]["name"] for one in join_tokens(platform) if _agent(one) == token.agent]
     platform.call("POST", TOKENS, body=token.document).read()
-    name = str(token.document["metadata"]["name"])
-    taken = _is_taken(platform, token)
-    for old in before if taken else [name]:
-        platform.call("DELETE", f"{TOKENS}/{old}").read()
-    if not taken:
+    try:
+        _check_taken(platform, token)
+    except BaseException:
+        _end(platform, str(token.document["metadata"]["name"]))
+        raise
+    for old in before:
+        _end(platform, old)
+
+
+def _end(platform: Platform, name: str) -> None:
+    platform.call("DELETE", f"{TOKENS}/{name}").read()
+
+
+def _check_taken(platform: Platform, token: JoinToken) -> None:
+    if not _is_taken(platform, token):
         raise RefusalError(
             "NoBootstrapTokens",
             "the API server takes no bootstrap tokens, so there is no file. Start it with "

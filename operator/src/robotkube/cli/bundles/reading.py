@@ -92,8 +92,10 @@ def show_manifests(options: argparse.Namespace) -> Table:
     if not named:
         there = ", ".join(item.name for item in bundle.contents.of(MANIFESTS))
         raise InputError(f"{bundle.path}: no manifests {options.name}; there are: {there or 'none'}")
-    [layer] = bundle.manifest(named[0].digest)["layers"]
-    text = bundle.read(layer["digest"], MANIFESTS_BYTES_MAX).decode()
+    _, *layers = bundle.parts(named[0].digest)
+    if len(layers) != 1:
+        raise InputError(f"{bundle.path}: manifests {options.name} have {len(layers)} layers instead of one")
+    text = bundle.read(layers[0], MANIFESTS_BYTES_MAX).decode()
     if options.registry:
         text = text.replace(f"{bundle.contents.prefix}/", f"{read_place(options.registry)}/")
     return Table("manifests", (), [{"text": text}], text=text)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from robotkube.cli.live.fleet import PodLook
+from robotkube.cli.terminal.printing import printable
 from robotkube.delivery.tasks.core.mqtt_messages import RULE as ASKED
 from robotkube.foundation.documents.core.times import time_ns
 from robotkube.foundation.kubernetes.core.objects import is_withdrawn
@@ -36,7 +37,8 @@ class Moment:
     def words(self) -> str:
         """What happened, with pull request and commit."""
         request = f"  #{self.pull_request}" if self.pull_request else ""
-        return f"{self.text}{request}{f'  {self.commit[:COMMIT_CHARACTERS]}' if self.commit else ''}"
+        words = f"{self.text}{request}{f'  {self.commit[:COMMIT_CHARACTERS]}' if self.commit else ''}"
+        return printable(words.replace("\n", " "))
 
     def document(self) -> dict[str, Any]:
         """The moment as JSON values."""

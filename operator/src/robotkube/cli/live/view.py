@@ -16,6 +16,7 @@ from robotkube.cli.live import fleet
 from robotkube.cli.live.feed import PlatformPicture
 from robotkube.cli.live.fleet import AgentRow
 from robotkube.cli.live.ways import TaskWay, way
+from robotkube.cli.terminal.printing import printable
 
 TASKS_MAX = 5
 RATES_MAX = 4
@@ -31,7 +32,7 @@ def view(picture: PlatformPicture, now_ns: int, lines: int) -> RenderableType:
     agents = fleet.rows(picture.nodes.values(), picture.pods.values())
     parts: list[RenderableType] = [_heading(picture, agents, now_ns)]
     if picture.problem:
-        parts.append(Text(f"what is shown may be old: {picture.problem}", style="bold red", overflow="fold"))
+        parts.append(Text(printable(f"what is shown may be old: {picture.problem}"), style="bold red", overflow="fold"))
     shown = agents[: max(AGENTS_MIN, lines - LINES_BESIDE_FLEET)]
     parts.append(_fleet(shown))
     if len(shown) < len(agents):
@@ -80,7 +81,7 @@ def _way(one: TaskWay, now_ns: int) -> Text:
     for stage, time in one.stages:
         text.append(f"  {stage} +{(time - one.begin) / SECOND:.1f} s", style="green")
     if one.problem:
-        text.append(f"  {one.problem}", style="bold red")
+        text.append(printable(f"  {one.problem}"), style="bold red")
     elif one.awaits:
         text.append(f"  {one.awaits} … {max(0, now_ns - one.begin) / SECOND:.0f} s", style="yellow")
     return text
@@ -89,7 +90,7 @@ def _way(one: TaskWay, now_ns: int) -> Text:
 def _rates(rates: dict[str, float]) -> Text:
     most = islice(sorted(rates.items(), key=lambda pair: -pair[1]), RATES_MAX)
     told = ", ".join(f"{topic} {rate:.0f}/s" for topic, rate in most)
-    return Text(f"detectors receive {told}", style="dim", no_wrap=True, overflow="ellipsis")
+    return Text(printable(f"detectors receive {told}"), style="dim", no_wrap=True, overflow="ellipsis")
 
 
 def _count(number: int, word: str) -> str:

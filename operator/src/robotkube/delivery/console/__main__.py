@@ -17,7 +17,7 @@ from kubernetes import client
 
 from robotkube.delivery.console.adapters.broker_poses import BrokerPoses
 from robotkube.delivery.console.adapters.cluster_watches import ClusterWatches, ConfigMapSettings
-from robotkube.delivery.console.adapters.http_pages import HttpPages
+from robotkube.delivery.console.adapters.http_pages import AGENT_PAGE_BYTES_MAX, HttpPages
 from robotkube.delivery.console.adapters.web.application import Console, ConsoleSurroundings
 from robotkube.delivery.console.adapters.web.page_files import read_files
 from robotkube.delivery.console.adapters.web.people import People
@@ -41,14 +41,16 @@ class ConsoleProcess:
 
     def __init__(self, configuration: ConsoleConfiguration, api: client.ApiClient) -> None:
         self.model = ReadModel(secrets.token_hex(4), lambda: time.time_ns() // 1_000_000)
-        self._pages = HttpPages()
+        self._pages, self._pages_of_agents = HttpPages(), HttpPages(AGENT_PAGE_BYTES_MAX)
         self._managers = [
             ManagerReader(self.model, self._pages, manager, time.monotonic) for manager in configuration.managers
         ]
         namespaces = (configuration.namespace, configuration.argocd_namespace)
         self.watches = ClusterWatches(api, self.model, namespaces, configuration.agents, self._wake)
         settings = ConfigMapSettings(api)
-        self._detectors = DetectorReader(self.model, self._pages, settings, self.watches.detectors, time.monotonic)
+        self._detectors = DetectorReader(
+            self.model, self._pages_of_agents, settings, self.watches.detectors, time.monotonic
+        )
         self._poses = _poses(configuration, self.model)
         sign_in = configuration.sign_in
         page = read_files(configuration.page)
@@ -86,6 +88,7 @@ class ConsoleProcess:
         for thread in threads:
             thread.join(1.0)
         self._pages.close()
+        self._pages_of_agents.close()
 
 
 def _poses(configuration: ConsoleConfiguration, model: ReadModel) -> BrokerPoses | None:

@@ -17,6 +17,8 @@ from robotkube.foundation.runtime import settings_file as files
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.broker_settings import read_broker
 
+SCOPES = ["openid", "profile", "groups", "read:user"]  # without the last one a token of Gitea may do all that he may
+SCOPE = re.compile(r"[!#-\[\]-~]{1,100}", re.ASCII)  # RFC 6749, section 3.3
 TEXT = re.compile(r"[^\0\n]{1,500}")
 
 
@@ -109,7 +111,7 @@ def _sign_in(reader: Reader, root: Mapping[str, Any]) -> SignIn | None:
             reader.problems.append("sign_in: missing; or say that everybody who reaches it reads: anybody_reads: true")
         return None
     required = ["issuer", "client_id", "url", "groups"]
-    given = reader.mapping(value, "sign_in", required, ["client_secret", "username_claim", "groups_claim"])
+    given = reader.mapping(value, "sign_in", required, ["client_secret", "username_claim", "groups_claim", "scopes"])
     groups = _words(reader, given.get("groups"), "sign_in.groups", TEXT)
     if not groups:
         reader.problems.append("sign_in.groups: must name one group or more, such as robotkube or robotkube:Owners")
@@ -122,6 +124,7 @@ def _sign_in(reader: Reader, root: Mapping[str, Any]) -> SignIn | None:
         groups=frozenset(groups),
         username_claim=reader.word(given.get("username_claim"), "sign_in.username_claim", WORD, "preferred_username"),
         groups_claim=reader.word(given.get("groups_claim"), "sign_in.groups_claim", WORD, "groups"),
+        scopes=_words(reader, given.get("scopes") or SCOPES, "sign_in.scopes", SCOPE),
     )
 
 

@@ -12,7 +12,7 @@ from typing import Any
 @dataclass(frozen=True)
 class SignIn:
     """How people sign in: the provider, the client there (a secret where it has one), and the groups whose members may
-    read. `url` is the console's own address in a browser."""
+    read. `url` is the console's own address in a browser; `scopes` are what is asked for."""
 
     issuer: str
     client_id: str
@@ -21,6 +21,7 @@ class SignIn:
     groups: frozenset[str]
     username_claim: str
     groups_claim: str
+    scopes: tuple[str, ...]
 
     @property
     def redirect(self) -> str:

@@ -9,6 +9,7 @@ cannot be told: he reads the whole table anew.
 from __future__ import annotations
 
 import json
+import math
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -55,8 +56,8 @@ class ItemTable:
         self._floor = 0
 
     def put(self, kind: str, key: str, document: Document) -> bool:
-        """Put an item in; False when it is there already, as it is."""
-        text = json.dumps(document, separators=(",", ":"), ensure_ascii=False)
+        """Put an item in, as `readable` makes it; False when it is there already, as it is."""
+        document, text = readable(document)
         before = self._items[kind].get(key)
         if before is not None and before.text == text:
             return False
@@ -118,6 +119,33 @@ class ItemTable:
             if changed <= version:
                 return
             yield name
+
+
+def readable(document: Document) -> tuple[Document, str]:
+    """A document and its JSON text, as every reader takes them. Numbers that JSON does not have are null, and half
+    characters a mark in their place: one agent's document must not keep anybody from reading the others."""
+    try:
+        text = _text(document)
+    except ValueError:
+        document = _cleaned(document)
+        text = _text(document)
+    return document, text
+
+
+def _text(document: Document) -> str:
+    text = json.dumps(document, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    text.encode()
+    return text
+
+
+def _cleaned(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {_cleaned(str(key)): _cleaned(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_cleaned(inner) for inner in value]
+    if isinstance(value, str):
+        return value.encode(errors="replace").decode()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def resume_id(epoch: str, version: int) -> str:

@@ -144,11 +144,14 @@ class ReadModel:
             _replace(table, kinds.CATALOGUE, documents, lambda *_: True)
 
     def put_events(self, page: Document, detector: str) -> None:
-        """What a detector's page /events has; what fell out of it before stays, as long as there is place."""
+        """What a detector's page /events has; what fell out of it before stays, as long as there is place. Of events
+        that another agent's detector told it says nothing."""
         documents = event_documents(page, detector)
         with self._changing() as table:
             for key, document in documents.items():
                 before = table.get(kinds.EVENTS, key)
+                if before is not None and before["detector"] and _teller(before) != _teller(document):
+                    continue
                 if document["began_ms"] is None and before is not None:  # its beginning has fallen out of the page
                     document = {**before, "ended_ms": document["ended_ms"]}
                 table.put(kinds.EVENTS, key, document)
@@ -195,11 +198,20 @@ def _demanded(table: ItemTable, release: Document) -> Document:
     return {**release, "demands": sorted(demands)}
 
 
+def _teller(event: Document) -> str:
+    """The namespace of the detector that told of an event."""
+    return str(event["detector"]).partition("/")[0]
+
+
 def _bound_events(table: ItemTable) -> None:
-    """The oldest events go when there are too many: those that ended first."""
+    """Events go when there are too many: of the agent whose detectors told most, those that ended, then the oldest. Who
+    tells without end so loses his own."""
     if table.count(kinds.EVENTS) <= EVENTS_MAX:
         return
     events = table.documents(kinds.EVENTS)
-    oldest = sorted(events, key=lambda key: (events[key]["ended_ms"] is None, events[key]["began_ms"] or 0))
-    for key in oldest[: len(events) - EVENTS_MAX]:
-        table.remove(kinds.EVENTS, key)
+    newest_first = sorted(events, key=lambda key: (events[key]["ended_ms"] is None, events[key]["began_ms"] or 0))[::-1]
+    told: dict[str, list[str]] = {}
+    for key in newest_first:
+        told.setdefault(_teller(events[key]), []).append(key)
+    for _ in range(len(events) - EVENTS_MAX):
+        table.remove(kinds.EVENTS, max(told.values(), key=len).pop())

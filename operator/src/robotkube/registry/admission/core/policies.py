@@ -8,6 +8,7 @@ and as ordinary objects, which differ in where the list stands.
     robotkube-applications  what Argo CD may be told to apply
     robotkube-projects      what releases may be made of
     robotkube-subresources  what comes by status, bindings and resizing
+    robotkube-nodes         whose machine a Node is
     robotkube-registrations what changes, refuses or answers requests (where the whole cluster is ours)
     robotkube-volumes       which folders of machines are volumes (where the provider says)
 
@@ -21,7 +22,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from robotkube.registry.admission.core import applications, registrations, subresources, volumes
+from robotkube.registry.admission.core import applications, nodes, registrations, subresources, volumes
 from robotkube.registry.admission.core.allowed import Allowed
 from robotkube.registry.admission.core.documents import Place, Policy, Validation
 from robotkube.registry.admission.core.domain import KEEPERS, POD_MAKERS, Domain, controllers
@@ -42,7 +43,7 @@ from robotkube.registry.admission.core.lists import Literals, Lookup, Parameters
 
 FILE_SUFFIX = ".static.k8s.io"
 API_POLICIES = tuple(
-    f"robotkube-{name}" for name in ("agents", "tests", "subresources", "platform", "applications", "projects")
+    f"robotkube-{name}" for name in ("agents", "tests", "subresources", "platform", "applications", "projects", "nodes")
 )
 LIST = "admission-list"
 PLATFORM_LIST = "admission-platform"
@@ -114,6 +115,7 @@ def _policies(domain: Domain, lookups: _Lookups) -> Iterator[Policy]:
         yield _elsewhere(domain, lookups.both)
     yield applications.policy(domain, lookups.charts)
     yield applications.projects(domain)
+    yield nodes.policy()
     if domain.elsewhere:
         yield registrations.policy()
     if domain.volumes:

@@ -17,9 +17,8 @@ from typing import Any
 
 from robotkube.errors import InputError
 from robotkube.foundation.documents.core.digests import canonical_json, sha256
-from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.registry.bundles.core.contents import CONTENTS_BYTES_MAX, CONTENTS_TYPE, BundleContents, read_contents
-from robotkube.registry.charts.adapters.oci import ArchivedBlob, read_archive
+from robotkube.registry.charts.adapters.oci import ArchivedBlob, read_archive, read_image_manifest
 from robotkube.registry.charts.core.packing import MANIFEST_TYPE
 from robotkube.registry.charts.core.referrers import INDEX_TYPE
 from robotkube.registry.images.adapters.normalising import EPOCH_SECONDS
@@ -121,18 +120,9 @@ class Bundle:
         """A small blob whole; InputError when it is missing, longer, or other bytes."""
         return _read(self.path, self.blobs, digest, bytes_max)
 
-    def manifest(self, digest: str) -> dict[str, Any]:
-        """A manifest."""
-        try:
-            document: dict[str, Any] = read_json(self.read(digest))
-            return document
-        except ValueError as error:
-            raise InputError(f"{self.path}: {digest} is no manifest: {error}") from error
-
     def parts(self, digest: str) -> list[str]:
-        """Digests of a manifest's configuration and layers."""
-        document = self.manifest(digest)
-        return [str(part["digest"]) for part in (document["config"], *document["layers"])]
+        """Digests of a manifest's configuration and layers; InputError when it is none, or that of several images."""
+        return _parts(self.path, self.blobs, digest)
 
     def check(self) -> None:
         """InputError unless every blob has the bytes of its digest."""
@@ -155,10 +145,9 @@ def read_bundle(path: Path) -> Bundle:
             f"{path}: no bundle: its index.json names {len(named)} lists of contents; make one: make bundle"
         )
     digest = str(named[0].get("digest"))
-    manifest = read_json(_read(path, blobs, digest, MANIFEST_BYTES_MAX))
-    contents = read_contents(_read(path, blobs, manifest["layers"][0]["digest"], CONTENTS_BYTES_MAX), str(path))
-    bundle = Bundle(path, contents, blobs, digest)
-    missing = sorted(_missing(bundle, contents.digests()))
+    listing = _read(path, blobs, _parts(path, blobs, digest)[-1], CONTENTS_BYTES_MAX)
+    bundle = Bundle(path, read_contents(listing, str(path)), blobs, digest)
+    missing = sorted(_missing(bundle, bundle.contents.digests()))
     if missing:
         raise InputError(f"{path}: lacks {len(missing)} of its parts, such as {missing[0]}; fetch or make it again")
     return bundle
@@ -168,6 +157,22 @@ def _missing(bundle: Bundle, digests: Iterable[str]) -> set[str]:
     wanted = set(digests)
     present = wanted & bundle.blobs.keys()
     return (wanted - present) | {part for one in present for part in bundle.parts(one) if part not in bundle.blobs}
+
+
+def _parts(path: Path, blobs: Mapping[str, ArchivedBlob], digest: str) -> list[str]:
+    manifest = read_image_manifest(_read(path, blobs, digest, MANIFEST_BYTES_MAX), f"{path}: {digest}")
+    if "manifests" in manifest:
+        raise InputError(f"{path}: {digest} is an index of several images; a bundle names each by itself")
+    elsewhere = [part["digest"] for part in manifest["layers"] if _comes_from_elsewhere(part)]
+    if elsewhere:
+        raise InputError(f"{path}: {digest} has layer {elsewhere[0]} from elsewhere, which no registry is given")
+    return [part["digest"] for part in (manifest["config"], *manifest["layers"])]
+
+
+def _comes_from_elsewhere(layer: Mapping[str, Any]) -> bool:
+    """Whether who copies leaves a layer out, and who pulls fetches it from an address that the manifest names."""
+    kind = str(layer.get("mediaType"))
+    return bool(layer.get("urls")) or "foreign" in kind or "nondistributable" in kind
 
 
 def _read(path: Path, blobs: Mapping[str, ArchivedBlob], digest: str, bytes_max: int) -> bytes:

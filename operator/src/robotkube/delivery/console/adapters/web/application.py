@@ -136,7 +136,7 @@ class Console:
         return listed
 
     async def _file(self, request: Request) -> Response:
-        path = request.url.path
+        path = request.scope["path"]  # not of its URL, which the header Host is a part of
         file = self._around.files.get(path)
         if file is None:
             what = "The page is not part of this image" if not self._around.files else "There is no such page"
@@ -171,4 +171,6 @@ async def _refused(request: Request, problem: Exception) -> Response:
 
 async def _refused_by_path(request: Request, problem: Exception) -> Response:
     assert isinstance(problem, HTTPException)
-    return ProblemError(problem.status_code, problem.detail, f"{request.method} {request.url.path[:200]}").response()
+    return ProblemError(
+        problem.status_code, problem.detail, f"{request.method} {request.scope['path'][:200]}"
+    ).response()

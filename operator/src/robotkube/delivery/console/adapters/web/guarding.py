@@ -4,6 +4,7 @@ nothing), how often one source may ask, and the headers that bound what a browse
 from __future__ import annotations
 
 import ipaddress
+import re
 import time
 from collections.abc import Callable, Collection, Mapping
 
@@ -34,6 +35,7 @@ HEADERS: Mapping[str, str] = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Permissions-Policy": "geolocation=(), camera=(), microphone=()",
 }
+HOST_HEADER = re.compile(r"(?:(?P<name>[A-Za-z0-9._-]+)|\[(?P<address>[0-9A-Fa-f:.]+)\])(?::\d{1,5})?", re.ASCII)
 TRANSPORT = "max-age=31536000"
 REQUESTS = RequestRate(burst=120, per_second=20)
 SIGN_INS = RequestRate(burst=20, per_second=0.2)
@@ -89,10 +91,9 @@ class Guard:
 
 
 def host_name(host: str) -> str:
-    """The name in a header Host, without its port."""
-    if host.startswith("["):
-        return host[1:].partition("]")[0]
-    return host.partition(":")[0]
+    """The name in a header Host, without its port; empty when it is no name with a port or without one."""
+    match = HOST_HEADER.fullmatch(host)
+    return "" if match is None else match["name"] or match["address"]
 
 
 def _is_address(name: str) -> bool:

@@ -16,7 +16,6 @@ from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
 
 TIMEOUT_SECONDS = 10.0
-SCOPES = ("openid", "profile", "groups")
 DISCOVERY = "/.well-known/openid-configuration"
 
 
@@ -70,7 +69,7 @@ def authorization_url(provider: Provider, settings: SignIn, state: str, verifier
         "response_type": "code",
         "client_id": settings.client_id,
         "redirect_uri": settings.redirect,
-        "scope": " ".join(SCOPES),
+        "scope": " ".join(settings.scopes),
         "state": state,
         "code_challenge": challenge(verifier),
         "code_challenge_method": "S256",

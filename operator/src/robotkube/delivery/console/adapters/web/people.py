@@ -45,7 +45,7 @@ class People:
             return
         session = self.session(request)
         if session is None:
-            raise ProblemError(401, "Not signed in", "Sign in with your account of the forge.")
+            raise ProblemError(401, "Not signed in", "Sign in with your account of the provider.")
         if not session.person.is_in(self._settings.groups):
             raise ProblemError(403, "Not in a listed group", NOT_LISTED)
 

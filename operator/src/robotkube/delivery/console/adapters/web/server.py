@@ -9,15 +9,25 @@ from collections.abc import Sequence
 import uvicorn
 from starlette.types import ASGIApp
 
+from robotkube.delivery.console.adapters.web.connections import WebBounds, bounded_connections
+
 STOP_SECONDS_MAX = 3.0
 CONNECTIONS_MAX = 1000
+DEFAULT_BOUNDS = WebBounds()
 
 
 class AsgiServer:
     """Serves `app`; `start()`, then `stop()`. Port 0 is a free one, see `port`. `proxies` are those whose word counts
-    for who asks."""
+    for who asks; `bounds` are those of every other client."""
 
-    def __init__(self, app: ASGIApp, address: str, port: int, proxies: Sequence[str] = ()) -> None:
+    def __init__(
+        self,
+        app: ASGIApp,
+        address: str,
+        port: int,
+        proxies: Sequence[str] = (),
+        bounds: WebBounds = DEFAULT_BOUNDS,
+    ) -> None:
         self._socket = socket.create_server((address, port), backlog=128)
         configuration = uvicorn.Config(
             app,
@@ -26,7 +36,7 @@ class AsgiServer:
             server_header=False,
             lifespan="off",
             loop="asyncio",
-            http="h11",
+            http=bounded_connections(bounds, proxies),
             ws="none",
             proxy_headers=bool(proxies),
             forwarded_allow_ips=list(proxies),
@@ -40,6 +50,11 @@ class AsgiServer:
     def port(self) -> int:
         """The TCP port it listens on."""
         return int(self._socket.getsockname()[1])
+
+    @property
+    def connections(self) -> int:
+        """How many connections there are."""
+        return len(self._server.server_state.connections)
 
     def start(self) -> None:
         """Begin to serve."""

@@ -59,12 +59,17 @@ def _is_described(part: Mapping[str, Any]) -> bool:
 
 
 def read_archive(archive: Path) -> tuple[dict[str, ArchivedBlob], dict[str, Any]]:
-    """The blobs of an OCI layout archive by digest, and its index. Raises InputError if it is not such an archive."""
+    """The blobs of an OCI layout archive by digest, and its index. Raises InputError if it is not such an archive.
+    Nothing is unpacked: links and folders in it are no blobs."""
     blobs: dict[str, ArchivedBlob] = {}
-    index: dict[str, Any] = {}
+    index: Any = {}
     try:
         with tarfile.open(archive, "r:") as tar:
             for member in tar:
+                if member.size < 0:  # tarfile would go back to where it was, without end
+                    raise InputError(f"{archive}: no OCI layout archive: {member.name[:100]} has {member.size} bytes")
+                if not member.isreg():
+                    continue
                 if member.name.startswith("blobs/sha256/"):
                     digest = "sha256:" + member.name.rpartition("/")[2]
                     blobs[digest] = ArchivedBlob(archive, member.offset_data, member.size)
@@ -72,6 +77,8 @@ def read_archive(archive: Path) -> tuple[dict[str, ArchivedBlob], dict[str, Any]
                     index = read_json(tar.extractfile(member).read())  # type: ignore[union-attr]
     except (OSError, tarfile.TarError, ValueError) as error:
         raise InputError(f"{archive}: no OCI layout archive: {error}") from error
+    if not isinstance(index, dict) or not all(isinstance(one, dict) for one in index.get("manifests", ())):
+        raise InputError(f"{archive}: no OCI layout archive: its index.json is of another form")
     return blobs, index
 
 
