@@ -11,17 +11,20 @@ SOURCE ?=
 # extra parameters, for example: make demo SET="vehicles=3 encounters=1"
 SET ?=
 
+# the kind of cluster: embedded is made of this machine's processes and needs nothing else
+CLUSTER ?= embedded
+
 # for how many minutes the vehicles go on driving after a demo, and with `make drive`; 0: they stand
 KEEP_DRIVING ?= 30
 
 help:           ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-demo:           ## a scenario, end to end, on the embedded cluster; the paper's use case if none is named
-	@$(PYTHON) -m scenarios.demo $(SCENARIO) --driving $(KEEP_DRIVING) $(addprefix --variant ,$(VARIANT)) $(addprefix --set ,$(SET))
+demo:           ## a scenario, end to end, on a cluster of its own; the paper's use case if none is named
+	@$(PYTHON) -m scenarios.demo $(SCENARIO) --cluster $(CLUSTER) --driving $(KEEP_DRIVING) $(addprefix --variant ,$(VARIANT)) $(addprefix --set ,$(SET))
 
 drive:          ## the demo's vehicles drive once more, for KEEP_DRIVING minutes; 0 ends it
-	@$(PYTHON) -m scenarios.runner drive $(SCENARIO) --minutes $(KEEP_DRIVING) $(addprefix --variant ,$(VARIANT)) $(addprefix --set ,$(SET))
+	@$(PYTHON) -m scenarios.runner drive $(SCENARIO) --cluster $(CLUSTER) --minutes $(KEEP_DRIVING) $(addprefix --variant ,$(VARIANT)) $(addprefix --set ,$(SET))
 
 test-fast:      ## the tests that start no other program: what one runs while writing
 	@$(PYTHON) -m ci.test --fast
@@ -38,14 +41,14 @@ check:          ## layers, style, types, links between pages
 bench:          ## benchmarks: ratios against a baseline in the same run
 	@$(PYTHON) -m benchmarks
 
-cluster:        ## only the embedded cluster with the platform installed
-	@$(PYTHON) -m scenarios.demo $(SCENARIO) --until platform $(addprefix --variant ,$(VARIANT)) $(addprefix --set ,$(SET))
+cluster:        ## only the cluster with the platform installed
+	@$(PYTHON) -m scenarios.demo $(SCENARIO) --cluster $(CLUSTER) --until platform $(addprefix --variant ,$(VARIANT)) $(addprefix --set ,$(SET))
 
 status:         ## what runs
-	@$(PYTHON) -m ci.cluster status
+	@$(PYTHON) -m ci.cluster status --cluster $(CLUSTER)
 
 down:           ## stop the cluster and remove everything it made
-	@$(PYTHON) -m ci.cluster down
+	@$(PYTHON) -m ci.cluster down --cluster $(CLUSTER)
 
 toolchain:      ## build the programs of the embedded cluster (cached)
 	@$(PYTHON) -m ci.toolchain

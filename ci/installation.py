@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import subprocess
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -19,7 +19,7 @@ import yaml
 
 from ci import evidence, toolchain
 from ci.client_certificates import client_certificate
-from ci.cluster.objects import SUITE_NAMESPACES
+from ci.cluster.provider import ChartProfile
 from ci.cluster.topology import Topology
 from ci.errors import SetUpError
 from ci.folders import PROJECT
@@ -45,11 +45,13 @@ LOG_LINES = 15
 
 @dataclass(frozen=True)
 class Installer:
-    """`kubectl` and `helm` against one cluster; `work` is a folder for the values files that are generated."""
+    """`kubectl` and `helm` against one cluster; `work` is a folder for the values files that are generated, `profile`
+    what the chart is told on this kind of cluster."""
 
     binaries: Path
     kubeconfig: Path
     work: Path
+    profile: ChartProfile = field(default_factory=ChartProfile)
 
     def kubectl(self, *arguments: str, text: str | None = None, seconds: int = 60) -> str:
         """Run kubectl; SetUpError with its message when it fails."""
@@ -111,7 +113,7 @@ class Installer:
         chart: Path = CHART,
         values: Mapping[str, Any] = NO_VALUES,
     ) -> None:
-        """`helm upgrade --install robotkube` with the embedded profile, the images and the agents of the topology, and
+        """`helm upgrade --install robotkube` with the cluster's profile, the images and the agents of the topology, and
         further `values`.
 
         Two namespaces come first: a chart cannot say that its own takes only restricted pods, and the gate's has the
@@ -120,9 +122,15 @@ class Installer:
         place = self.work / "values.yaml"
         self.work.mkdir(parents=True, exist_ok=True)
         self.namespace(NAMESPACE, RESTRICTED)
-        given = platform_values(references, topology) | {"evidence": self.signing_key()} | dict(values)
+        given = {
+            **platform_values(references, topology),
+            **self.profile.values,
+            "evidence": self.signing_key(),
+            **values,
+        }
         place.write_text(yaml.safe_dump(given), encoding="utf-8")
-        options = ["-n", NAMESPACE, "-f", str(chart / "values-embedded.yaml"), "-f", str(place)]
+        files = [*(chart / name for name in self.profile.files), place]
+        options = ["-n", NAMESPACE, *(word for file in files for word in ("-f", str(file)))]
         try:
             self.helm(
                 "upgrade", "--install", NAMESPACE, str(chart), *options, "--timeout", f"{INSTALL_TIMEOUT_SECONDS}s"
@@ -235,6 +243,5 @@ def platform_values(references: Mapping[str, str], topology: Topology) -> dict[s
         "images": images,
         **({"serviceImages": services} if services else {}),
         "agents": list(agents.values()),
-        "suites": {"pool": SUITE_NAMESPACES},
         "inspection": {"images": sorted(others)},
     }

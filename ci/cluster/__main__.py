@@ -7,8 +7,7 @@ import sys
 from pathlib import Path
 
 from ci import packages, preflight
-from ci.cluster import admission, images, topology
-from ci.cluster.addresses import PLANS
+from ci.cluster import admission, choosing, images, topology
 from ci.cluster.embedded import Embedded
 from ci.cluster.records import ClusterFolders
 from ci.errors import InputError, SetUpError
@@ -29,7 +28,7 @@ def arguments() -> argparse.ArgumentParser:
         ("run-dir", "print the folder of the cluster's files"),
     ):
         command = commands.add_parser(name, help=text)
-        command.add_argument("--name", choices=sorted(PLANS), default="demo")
+        choosing.add_arguments(command)
     up = commands.choices["up"]
     up.add_argument("--topology", type=Path, default=SCENARIO, help="a scenario.yaml")
     up.add_argument("--set", action="append", default=[], metavar="PARAMETER=VALUE", help="for example vehicles=3")
@@ -46,23 +45,14 @@ def arguments() -> argparse.ArgumentParser:
     return parser
 
 
-def overrides(settings: list[str]) -> dict[str, str]:
-    """`vehicles=3` -> {"vehicles": "3"}."""
-    pairs = [setting.partition("=") for setting in settings]
-    for name, equals, _ in pairs:
-        if not equals:
-            raise InputError(f"--set {name}: must be PARAMETER=VALUE, for example vehicles=3")
-    return {name: value for name, _, value in pairs}
-
-
 def run(options: argparse.Namespace) -> None:
     """Do one command; raises SetUpError."""
     if options.command == "run-dir":
         print(ClusterFolders(options.name).base)
     elif options.command == "down":
-        down(options.name)
+        down(choosing.choice(options))
     elif options.command == "status":
-        print(Embedded(options.name, Path()).status())
+        print(choosing.nodes_provider(choosing.choice(options)).status())
     elif options.dry_run:
         dry_run(options)
     else:
@@ -73,7 +63,7 @@ def dry_run(options: argparse.Namespace) -> None:
     """List what could not be made again under enforced admission; InputError when there is something."""
     from ci.cluster.stranded import stranded_now
 
-    wanted = topology.read(options.topology, overrides(options.set))
+    wanted = topology.read(options.topology, topology.overrides(options.set))
     lock = images.read_lock(options.images or images.lock_file())
     report = stranded_now(ClusterFolders(options.name), wanted, lock)
     print("\n".join(report.lines))
@@ -83,19 +73,20 @@ def dry_run(options: argparse.Namespace) -> None:
         )
 
 
-def down(name: str) -> None:
+def down(chosen: choosing.Choice) -> None:
     """Remove the cluster, and print what that was."""
-    removed = Embedded(name, Path()).down()
+    provider = choosing.nodes_provider(chosen)
+    removed = provider.down()
     if not removed:
-        print(f"cluster {name}: nothing to remove")
+        print(f"cluster {provider.name}: nothing to remove")
         return
-    print("\n".join([f"cluster {name}: removed", *(f"  {line}" for line in removed)]))
-    print(f"  kept: the logs in {ClusterFolders(name).log}")
+    print("\n".join([f"cluster {provider.name}: removed", *(f"  {line}" for line in removed)]))
+    print("".join(f"  kept: {line}\n" for line in provider.kept()), end="")
 
 
 def up(options: argparse.Namespace) -> None:
     """Check everything that can be wrong first, then start."""
-    wanted = topology.read(options.topology, overrides(options.set))
+    wanted = topology.read(options.topology, topology.overrides(options.set))
     preflight.require()
     packages.ensure("cluster")
     lock = images.read_lock(options.images or images.lock_file())

@@ -81,6 +81,15 @@ def read(path: Path, overrides: Mapping[str, str] | None = None) -> Topology:
     return _Reader(str(path)).topology(document["topology"], dict(overrides or {}))
 
 
+def overrides(settings: Iterable[str]) -> dict[str, str]:
+    """`vehicles=3` -> {"vehicles": "3"}; InputError where something is no such pair."""
+    pairs = [setting.partition("=") for setting in settings]
+    for name, equals, _ in pairs:
+        if not equals:
+            raise InputError(f"--set {name}: must be PARAMETER=VALUE, for example vehicles=3")
+    return {name: value for name, _, value in pairs}
+
+
 class _Reader:
     """Checks one document; `where` is the key path for messages."""
 

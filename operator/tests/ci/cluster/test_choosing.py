@@ -1,0 +1,37 @@
+"""Which cluster a command line means, and what is said of those that are not there."""
+
+from __future__ import annotations
+
+import argparse
+
+import pytest
+
+from ci.cluster import choosing
+from ci.cluster.choosing import Choice
+from ci.cluster.embedded import Embedded
+from ci.errors import InputError
+
+
+def chosen(*words: str) -> Choice:
+    parser = argparse.ArgumentParser()
+    choosing.add_arguments(parser)
+    return choosing.choice(parser.parse_args(words))
+
+
+def test_without_a_word_it_is_the_one_that_needs_nothing() -> None:
+    assert chosen() == Choice("demo", "embedded")
+    provider = choosing.provider(chosen("--name", "test"))
+    assert isinstance(provider, Embedded)
+    assert (provider.name, provider.kind, provider.lacks) == ("test", "embedded", ())
+
+
+@pytest.mark.parametrize("kind", ["kind", "k3s", ""])
+def test_kinds_that_are_not_offered_are_refused_with_those_that_are(kind: str) -> None:
+    with pytest.raises(InputError, match=f"CLUSTER={kind}: there is no such kind .* embedded: "):
+        chosen("--cluster", kind)
+
+
+def test_the_chart_is_told_what_the_embedded_cluster_needs() -> None:
+    profile = choosing.provider(Choice()).chart_profile()
+    assert profile.files == ("values-embedded.yaml",)
+    assert profile.values == {"suites": {"pool": 3}}
