@@ -20,7 +20,7 @@ import yaml
 from ci import evidence, toolchain
 from ci.client_certificates import client_certificate
 from ci.cluster.provider import ChartProfile
-from ci.cluster.topology import Topology
+from ci.cluster.topology import Topology, chart_agents
 from ci.errors import SetUpError
 from ci.folders import PROJECT
 from ci.images.services import SERVICE_NAMES
@@ -34,9 +34,7 @@ RESTRICTED = {"pod-security.kubernetes.io/enforce": "restricted"}
 # What Helm asks of an object that is there before the chart that has it.
 HELMS_LABEL = {"app.kubernetes.io/managed-by": "Helm"}
 HELMS_OWN = {"meta.helm.sh/release-name": NAMESPACE, "meta.helm.sh/release-namespace": NAMESPACE}
-BAGS_SIZE = "2Gi"
 NO_VALUES: Mapping[str, Any] = MappingProxyType({})
-PLAYERS = ("vehicle", "roadside")  # roles whose agents play a bag
 PLATFORM_IMAGES = ("platform", "suites", "ros", "mosquitto", "gitea", "ferretdb")
 AGENT = "robotkube.io/agent"  # label of volume claims and volumes
 KEY_SECRET = "evidence-key"  # noqa: S105
@@ -225,23 +223,13 @@ def _not_ready(pod: Mapping[str, Any]) -> bool:
 
 
 def platform_values(references: Mapping[str, str], topology: Topology) -> dict[str, Any]:
-    """Values of charts/robotkube for a topology: one agent per machine outside the platform."""
-    agents: dict[str, dict[str, Any]] = {}
-    for node in topology.nodes:
-        if node.role == "platform":
-            continue
-        agent: dict[str, Any] = {"name": node.agent, "role": node.role}
-        if "recording" in node.capabilities:
-            agent["records"] = True
-        if node.role in PLAYERS:
-            agent["claims"] = [{"name": "bags", "size": BAGS_SIZE}]
-        agents.setdefault(node.agent, agent)
+    """Values of charts/robotkube for a topology."""
     images = {name: references[name] for name in PLATFORM_IMAGES}
     services = {name: reference for name, reference in references.items() if name in SERVICE_NAMES}
     others = set(references.values()) - set(services.values())  # Argo CD's among them
     return {
         "images": images,
         **({"serviceImages": services} if services else {}),
-        "agents": list(agents.values()),
+        "agents": chart_agents(topology.nodes),
         "inspection": {"images": sorted(others)},
     }

@@ -1,4 +1,4 @@
-"""`python -m ci.cluster`: start, stop and inspect the embedded cluster."""
+"""`python -m ci.cluster`: start, stop and inspect the embedded cluster, or take Nodes of a cluster that is there."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 from ci import packages, preflight
 from ci.cluster import admission, choosing, images, topology
 from ci.cluster.embedded import Embedded
+from ci.cluster.existing.provider import Existing
 from ci.cluster.records import ClusterFolders
 from ci.errors import InputError, SetUpError
 from ci.folders import PROJECT
@@ -22,8 +23,11 @@ def arguments() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m ci.cluster", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     for name, text in (
-        ("up", "start the cluster, or use the running one if it equals"),
-        ("down", "remove the cluster and prove it"),
+        (
+            "up",
+            "start the cluster, or use the running one if it equals; of one that is there: its Nodes become agents'",
+        ),
+        ("down", "remove the cluster and prove it; of one that is there: what was added"),
         ("status", "nodes, pods that are not ready, cost of the cluster's processes, what runs beside the kubelets"),
         ("run-dir", "print the folder of the cluster's files"),
     ):
@@ -40,19 +44,23 @@ def arguments() -> argparse.ArgumentParser:
     up.add_argument(
         "--dry-run",
         action="store_true",
-        help="start nothing; list what of the running cluster admission would strand (exit code 1: something)",
+        help="start nothing; list what of the running cluster admission would strand (exit code 1: something); of one "
+        "that is there: what would be written",
     )
     return parser
 
 
 def run(options: argparse.Namespace) -> None:
     """Do one command; raises SetUpError."""
+    chosen = choosing.choice(options)
     if options.command == "run-dir":
-        print(ClusterFolders(options.name).base)
+        print(ClusterFolders(chosen.name).base)
     elif options.command == "down":
-        down(choosing.choice(options))
+        down(chosen)
     elif options.command == "status":
-        print(choosing.nodes_provider(choosing.choice(options)).status())
+        print(choosing.nodes_provider(chosen).status())
+    elif chosen.kind == Existing.kind:
+        take(Existing(chosen.given), options.dry_run)
     elif options.dry_run:
         dry_run(options)
     else:
@@ -82,6 +90,18 @@ def down(chosen: choosing.Choice) -> None:
         return
     print("\n".join([f"cluster {provider.name}: removed", *(f"  {line}" for line in removed)]))
     print("".join(f"  kept: {line}\n" for line in provider.kept()), end="")
+
+
+def take(given: Existing, dry_run: bool) -> None:
+    """Make Nodes of a cluster that is there agents', or list what that would write; and say what this kind of cluster
+    cannot give."""
+    if dry_run:
+        print("\n".join(given.planned()) or f"cluster {given.name}: nothing would be written")
+        return
+    written = given.up()
+    lines = [f"cluster {given.name}: {len(written) or 'no'} Nodes changed", *(f"  {line}" for line in written)]
+    print("\n".join([*lines, *(f"  not given: {text}" for text in given.lacks)]))
+    print(f"values for the platform's chart: {given.values_file}")
 
 
 def up(options: argparse.Namespace) -> None:
