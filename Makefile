@@ -1,6 +1,6 @@
 # Every target runs a module of ci/ or scenarios/ in the project's own Python environment (made by ci/python, kept in the cache folder).
 .DEFAULT_GOAL := help
-.PHONY: help demo drive test test-fast test-thorough check bench cluster status down toolchain images bundle lock golden reference docs
+.PHONY: help demo drive test test-fast test-thorough check bench cluster nodes status down toolchain images bundle lock golden reference docs
 
 PYTHON := ci/python
 # the name of a folder below scenarios/, and a variant of its scenario.yaml: make demo SCENARIO=three-vehicles VARIANT=small
@@ -11,17 +11,27 @@ SOURCE ?=
 # extra parameters, for example: make demo SET="vehicles=3 encounters=1"
 SET ?=
 
+# the kind of cluster: embedded is made of this machine's processes and needs nothing else; existing is there already
+CLUSTER ?= embedded
+# how a cluster that is there is reached, from where it pulls images (HOST/PATH), which Nodes are whose; YES=1: nobody is asked
+KUBECONFIG ?=
+CONTEXT ?=
+REGISTRY ?=
+AGENTS ?=
+YES ?=
+CHOSEN = --cluster $(CLUSTER) $(addprefix --kubeconfig ,$(KUBECONFIG)) $(addprefix --context ,$(CONTEXT)) $(addprefix --registry ,$(REGISTRY)) $(addprefix --agents ,$(AGENTS)) $(if $(YES),--yes)
+
 # for how many minutes the vehicles go on driving after a demo, and with `make drive`; 0: they stand
 KEEP_DRIVING ?= 30
 
 help:           ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-demo:           ## a scenario, end to end, on the embedded cluster; the paper's use case if none is named
-	@$(PYTHON) -m scenarios.demo $(SCENARIO) --driving $(KEEP_DRIVING) $(addprefix --variant ,$(VARIANT)) $(addprefix --set ,$(SET))
+demo:           ## a scenario, end to end, on a cluster of its own; the paper's use case if none is named
+	@$(PYTHON) -m scenarios.demo $(SCENARIO) $(CHOSEN) --driving $(KEEP_DRIVING) $(addprefix --variant ,$(VARIANT)) $(addprefix --set ,$(SET))
 
 drive:          ## the demo's vehicles drive once more, for KEEP_DRIVING minutes; 0 ends it
-	@$(PYTHON) -m scenarios.runner drive $(SCENARIO) --minutes $(KEEP_DRIVING) $(addprefix --variant ,$(VARIANT)) $(addprefix --set ,$(SET))
+	@$(PYTHON) -m scenarios.runner drive $(SCENARIO) $(CHOSEN) --minutes $(KEEP_DRIVING) $(addprefix --variant ,$(VARIANT)) $(addprefix --set ,$(SET))
 
 test-fast:      ## the tests that start no other program: what one runs while writing
 	@$(PYTHON) -m ci.test --fast
@@ -38,14 +48,17 @@ check:          ## layers, style, types, links between pages
 bench:          ## benchmarks: ratios against a baseline in the same run
 	@$(PYTHON) -m benchmarks
 
-cluster:        ## only the embedded cluster with the platform installed
-	@$(PYTHON) -m scenarios.demo $(SCENARIO) --until platform $(addprefix --variant ,$(VARIANT)) $(addprefix --set ,$(SET))
+cluster:        ## only the cluster with the platform installed
+	@$(PYTHON) -m scenarios.demo $(SCENARIO) $(CHOSEN) --until platform $(addprefix --variant ,$(VARIANT)) $(addprefix --set ,$(SET))
+
+nodes:          ## only Nodes that are agents': of a new cluster, or by AGENTS of one that is there (CLUSTER=existing)
+	@$(PYTHON) -m ci.cluster up $(CHOSEN)
 
 status:         ## what runs
-	@$(PYTHON) -m ci.cluster status
+	@$(PYTHON) -m ci.cluster status $(CHOSEN)
 
-down:           ## stop the cluster and remove everything it made
-	@$(PYTHON) -m ci.cluster down
+down:           ## stop the cluster and remove everything it made; of one that is there, what was added
+	@$(PYTHON) -m ci.cluster down $(CHOSEN)
 
 toolchain:      ## build the programs of the embedded cluster (cached)
 	@$(PYTHON) -m ci.toolchain

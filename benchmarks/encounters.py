@@ -7,15 +7,12 @@ from __future__ import annotations
 import json
 import statistics
 import sys
-from pathlib import Path
 from typing import Any
 
 from benchmarks.event_detector import RECORD
 from benchmarks.measuring import Comparison, record
-from benchmarks.publication import NAME, SCENARIO
-from ci.cluster import cleaning
-from ci.cluster.addresses import PLANS
-from ci.cluster.embedded import Embedded
+from benchmarks.publication import CLUSTER, SCENARIO
+from ci.cluster import choosing
 from ci.errors import SetUpError
 from scenarios import demo
 from scenarios.runner.running import REPORTS
@@ -55,14 +52,11 @@ def medians(breakdowns: list[dict[str, float | None]]) -> dict[str, float]:
 
 def run() -> dict[str, Any]:
     """The report of the scenario on a new cluster. What the scenario itself expects is told by its own table."""
-    for name in PLANS:
-        if cleaning.leftovers(name):
-            print(f"stopping the cluster {name}: only one can run, and it must be a new one", file=sys.stderr)
-            Embedded(name, Path()).down()
+    choosing.remove_running(lambda text: print(text, file=sys.stderr))
     try:
-        demo.run(demo.Request(SCENARIO, {}, NAME, "scenario", variant=VARIANT))
+        demo.run(demo.Request(SCENARIO, {}, CLUSTER, "scenario", variant=VARIANT))
     finally:
-        Embedded(NAME, Path()).down()
+        choosing.provider(CLUSTER).down()
     file = REPORTS / SCENARIO.name / "report.json"
     report: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
     return report

@@ -22,9 +22,8 @@ from pathlib import Path, PurePosixPath
 from benchmarks.measuring import Comparison, seconds
 from benchmarks.registry import record
 from ci import publish
-from ci.cluster import cleaning
-from ci.cluster.addresses import PLANS
-from ci.cluster.embedded import Embedded
+from ci.cluster import choosing
+from ci.cluster.choosing import Choice
 from ci.errors import SetUpError
 from ci.folders import PROJECT
 from ci.steps import Steps
@@ -32,7 +31,7 @@ from robotkube.registry.evidence.core.verification_policy import SUMMARY
 from robotkube.registry.publication.loops.submitting import UNCHANGED
 from scenarios import definition, demo
 
-NAME, VARIANT, UNTIL = "test", "small", "platform"
+CLUSTER, VARIANT, UNTIL = Choice("test"), "small", "platform"
 SCENARIO = PROJECT / "scenarios" / "pose-point-cloud-db-recording"
 PUBLISHING = "catalogue"  # the step of `bring_up` that publishes
 REPETITIONS = 3  # of the unchanged publication
@@ -74,15 +73,12 @@ def new_cluster(kept: Path | None, steps: Steps) -> Iterator[Path]:
     """The kubeconfig of a cluster on which everything was just published, with evidence from and to `kept` (None: the
     user's cache)."""
     parameters = definition.load(SCENARIO, [], VARIANT).parameters
-    for name in PLANS:
-        if cleaning.leftovers(name):
-            print(f"stopping the cluster {name}: only one can run, and it must be a new one", file=sys.stderr)
-            Embedded(name, Path()).down()
+    choosing.remove_running(lambda text: print(text, file=sys.stderr))
     try:
-        request = demo.Request(SCENARIO, {"vehicles": str(parameters.vehicles)}, NAME, UNTIL, kept)
+        request = demo.Request(SCENARIO, {"vehicles": str(parameters.vehicles)}, CLUSTER, UNTIL, kept)
         yield demo.bring_up(request, steps).kubeconfig
     finally:
-        Embedded(NAME, Path()).down()
+        choosing.provider(CLUSTER).down()
 
 
 def measure() -> Costs:

@@ -1,5 +1,5 @@
-"""Boundaries that the import contracts draw by lists: nothing on the disk is outside of the lists, and ROS and the
-tests are imported where they may be alone.
+"""Boundaries that the import contracts draw by lists: nothing on the disk is outside of the lists, and ROS, the tests
+and the kinds of clusters are imported where they may be alone.
 """
 
 from __future__ import annotations
@@ -23,6 +23,11 @@ ROS_HOME = "operator/src/robotkube/robots/ros/adapters/"
 ROS_ELSEWHERE = {
     "benchmarks/naive_bridge.py": "a baseline: stands for what other people write",
     "benchmarks/naive_detector.py": "a baseline: stands for what other people write",
+}
+PROVIDERS = "ci.cluster"
+OF_ALL_PROVIDERS = ("choosing", "emulation.conditions", "images", "provider", "topology")  # modules there
+PROVIDERS_ELSEWHERE = {
+    "ci/preflight.py": "asked before anything is built, what the machine lacks of that which the tool chain is for",
 }
 
 
@@ -102,6 +107,7 @@ def forbidden_imports(top: Path) -> list[str]:
     for package, place in ROOTS.items():
         for path in modules(top / place / package):
             name = path.relative_to(top).as_posix()
+            problems += kinds_of_clusters(path, name, top / place)
             for line, imported in _first_parts(path, top / place):
                 if imported in ROS and not name.startswith(ROS_HOME) and name not in ROS_ELSEWHERE:
                     problems.append(f"{name}:{line}: imports {imported}; only {ROS_HOME} knows ROS")
@@ -112,6 +118,20 @@ def forbidden_imports(top: Path) -> list[str]:
                 if imported == "tests":
                     problems.append(f"{name}:{line}: imports tests; only tests do")
     return problems
+
+
+def kinds_of_clusters(path: Path, name: str, root: Path) -> list[str]:
+    """Imports of what only one kind of cluster has, outside of the providers' folder."""
+    if name.startswith(f"{PROVIDERS.replace('.', '/')}/") or name in PROVIDERS_ELSEWHERE:
+        return []
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    return [
+        f"{name}:{one.line}: imports {one.whole}; who uses a cluster does not know its kind: take it from "
+        f"{PROVIDERS}.provider, or have {PROVIDERS}.choosing do it"
+        for one in imports(tree, package_of(path, root))
+        if one.whole.startswith(f"{PROVIDERS}.")
+        and not f"{one.whole}.".startswith(tuple(f"{PROVIDERS}.{module}." for module in OF_ALL_PROVIDERS))
+    ]
 
 
 def _first_parts(path: Path, root: Path) -> Iterator[tuple[int, str]]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import subprocess
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -19,8 +19,8 @@ import yaml
 
 from ci import evidence, toolchain
 from ci.client_certificates import client_certificate
-from ci.cluster.objects import SUITE_NAMESPACES
-from ci.cluster.topology import Topology
+from ci.cluster.provider import ChartProfile
+from ci.cluster.topology import Topology, chart_agents
 from ci.errors import SetUpError
 from ci.folders import PROJECT
 from ci.images.services import SERVICE_NAMES
@@ -34,9 +34,7 @@ RESTRICTED = {"pod-security.kubernetes.io/enforce": "restricted"}
 # What Helm asks of an object that is there before the chart that has it.
 HELMS_LABEL = {"app.kubernetes.io/managed-by": "Helm"}
 HELMS_OWN = {"meta.helm.sh/release-name": NAMESPACE, "meta.helm.sh/release-namespace": NAMESPACE}
-BAGS_SIZE = "2Gi"
 NO_VALUES: Mapping[str, Any] = MappingProxyType({})
-PLAYERS = ("vehicle", "roadside")  # roles whose agents play a bag
 PLATFORM_IMAGES = ("platform", "suites", "ros", "mosquitto", "gitea", "ferretdb")
 AGENT = "robotkube.io/agent"  # label of volume claims and volumes
 KEY_SECRET = "evidence-key"  # noqa: S105
@@ -45,11 +43,13 @@ LOG_LINES = 15
 
 @dataclass(frozen=True)
 class Installer:
-    """`kubectl` and `helm` against one cluster; `work` is a folder for the values files that are generated."""
+    """`kubectl` and `helm` against one cluster; `work` is a folder for the values files that are generated, `profile`
+    what the chart is told on this kind of cluster."""
 
     binaries: Path
     kubeconfig: Path
     work: Path
+    profile: ChartProfile = field(default_factory=ChartProfile)
 
     def kubectl(self, *arguments: str, text: str | None = None, seconds: int = 60) -> str:
         """Run kubectl; SetUpError with its message when it fails."""
@@ -111,7 +111,7 @@ class Installer:
         chart: Path = CHART,
         values: Mapping[str, Any] = NO_VALUES,
     ) -> None:
-        """`helm upgrade --install robotkube` with the embedded profile, the images and the agents of the topology, and
+        """`helm upgrade --install robotkube` with the cluster's profile, the images and the agents of the topology, and
         further `values`.
 
         Two namespaces come first: a chart cannot say that its own takes only restricted pods, and the gate's has the
@@ -120,9 +120,15 @@ class Installer:
         place = self.work / "values.yaml"
         self.work.mkdir(parents=True, exist_ok=True)
         self.namespace(NAMESPACE, RESTRICTED)
-        given = platform_values(references, topology) | {"evidence": self.signing_key()} | dict(values)
+        given = {
+            **platform_values(references, topology),
+            **self.profile.values,
+            "evidence": self.signing_key(),
+            **values,
+        }
         place.write_text(yaml.safe_dump(given), encoding="utf-8")
-        options = ["-n", NAMESPACE, "-f", str(chart / "values-embedded.yaml"), "-f", str(place)]
+        files = [*(chart / name for name in self.profile.files), place]
+        options = ["-n", NAMESPACE, *(word for file in files for word in ("-f", str(file)))]
         try:
             self.helm(
                 "upgrade", "--install", NAMESPACE, str(chart), *options, "--timeout", f"{INSTALL_TIMEOUT_SECONDS}s"
@@ -217,24 +223,13 @@ def _not_ready(pod: Mapping[str, Any]) -> bool:
 
 
 def platform_values(references: Mapping[str, str], topology: Topology) -> dict[str, Any]:
-    """Values of charts/robotkube for a topology: one agent per machine outside the platform."""
-    agents: dict[str, dict[str, Any]] = {}
-    for node in topology.nodes:
-        if node.role == "platform":
-            continue
-        agent: dict[str, Any] = {"name": node.agent, "role": node.role}
-        if "recording" in node.capabilities:
-            agent["records"] = True
-        if node.role in PLAYERS:
-            agent["claims"] = [{"name": "bags", "size": BAGS_SIZE}]
-        agents.setdefault(node.agent, agent)
+    """Values of charts/robotkube for a topology."""
     images = {name: references[name] for name in PLATFORM_IMAGES}
     services = {name: reference for name, reference in references.items() if name in SERVICE_NAMES}
     others = set(references.values()) - set(services.values())  # Argo CD's among them
     return {
         "images": images,
         **({"serviceImages": services} if services else {}),
-        "agents": list(agents.values()),
-        "suites": {"pool": SUITE_NAMESPACES},
+        "agents": chart_agents(topology.nodes),
         "inspection": {"images": sorted(others)},
     }

@@ -50,6 +50,7 @@ from robotkube.registry.publication.ports import ChartSource, SubmittedSources
 NAMESPACE, SERVICE, PORT = "robotkube", "forge", 3000
 IMAGE_ACCOUNT = "image-publisher"
 PERSON = "operator-team"
+PULL_ACCOUNT = "nodes"  # that nodes pull images with
 CHARTS, REGISTRY = PROJECT / "charts" / "apps", PROJECT / "registry"
 EARLIER = PROJECT / "charts" / "earlier"
 BASE = ("bag-player", "event-detector", "mqtt-bridge")

@@ -1,6 +1,7 @@
 """`make demo`: from nothing to the scenario's report. Every step is idempotent and says what it found in the cache.
 
-python -m scenarios.demo SCENARIO [--variant manager-killed] [--set vehicles=3] [--until cluster|platform] [--name demo]
+python -m scenarios.demo SCENARIO [--variant manager-killed] [--set vehicles=3] [--until cluster|platform]
+    [--cluster KIND]
 """
 
 from __future__ import annotations
@@ -13,11 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from ci import preparing, publish
-from ci.cluster import pulling, topology
-from ci.cluster.__main__ import overrides
-from ci.cluster.addresses import PLANS
-from ci.cluster.embedded import Embedded
-from ci.cluster.records import ClusterFolders
+from ci.cluster import choosing, topology
+from ci.cluster.choosing import Choice
 from ci.errors import SetUpError
 from ci.installation import Installer
 from ci.steps import Steps
@@ -33,14 +31,14 @@ STEPS = {"cluster": 3, "platform": 6, "scenario": 7}
 
 @dataclass(frozen=True)
 class Request:
-    """What is to be run: scenario folder, overrides of its parameters, cluster name, last step; `kept` is the folder of
+    """What is to be run: scenario folder, overrides of its parameters, cluster, last step; `kept` is the folder of
     evidence for the publication (default: the user's cache); `variant` is a named set of parameters or steps; `values`
     are values of the platform's chart for this cluster; `driving` is for how many minutes the players go on driving
     after the run."""
 
     scenario: Path
     settings: dict[str, str]
-    name: str
+    cluster: Choice
     until: str
     kept: Path | None = None
     variant: str | None = None
@@ -72,21 +70,21 @@ def bring_up(request: Request, steps: Steps) -> Installer:
         binaries = preparing.tool_chain()
     with steps.step("images"):
         prepared = preparing.everything()
-    provider = Embedded(request.name, binaries)
+    provider = choosing.provider(request.cluster, binaries)
     with steps.step("cluster"):
         provider.up(wanted, prepared.images)
-    folders = ClusterFolders(request.name)
-    installer = Installer(binaries, folders.kubeconfig, folders.base / "values")
+    kubeconfig = provider.kubeconfig()
+    installer = Installer(binaries, kubeconfig, provider.work(), provider.chart_profile())
     if request.until == "cluster":
         return installer
     with steps.step("Argo CD"):
         installer.argocd(prepared.references())
     with steps.step("platform"):
         installer.platform(prepared.references(), wanted, values=request.values)
-        nodes = publish.find_forge(folders.kubeconfig, pulling.ACCOUNT)
+        nodes = publish.find_forge(kubeconfig, publish.PULL_ACCOUNT)
         provider.pull_from(nodes.url, nodes.username, nodes.password)
     with steps.step("catalogue") as step:
-        published = publish.publish(folders.kubeconfig, step.progress, request.kept, settled.extra_charts)
+        published = publish.publish(kubeconfig, step.progress, request.kept, settled.extra_charts)
         step.note = published.outcome.verdict
     return installer
 
@@ -94,16 +92,16 @@ def bring_up(request: Request, steps: Steps) -> Installer:
 def run(request: Request) -> int:
     """Exit code of the whole: the scenario's when it ran."""
     steps = Steps(STEPS[request.until])
+    provider = choosing.provider(request.cluster)
     installer = bring_up(request, steps)
     if request.until != "scenario":
         print(f"export KUBECONFIG={installer.kubeconfig}")
         return 0
     with steps.step("scenario", of=request.described):
         seconds = dict(steps.seconds)
-        code = running.run(request.scenario, request.name, request.settings, request.variant, set_up_seconds=seconds)
+        code = running.run(request.scenario, provider, request.settings, request.variant, set_up_seconds=seconds)
     if request.driving:
-        access = Access(Embedded(request.name, Path()).kubeconfig())
-        driving.drive(access, request.settled(), request.driving, print)
+        driving.drive(Access(provider.kubeconfig()), request.settled(), request.driving, print)
     return code
 
 
@@ -114,15 +112,13 @@ def main() -> int:
     parser.add_argument("scenario", type=definition.find, help="its folder, or its name below scenarios/")
     parser.add_argument("--variant", help="named set of parameters or steps in scenario.yaml")
     parser.add_argument("--set", action="append", default=[], metavar="PARAMETER=VALUE")
-    parser.add_argument("--name", choices=sorted(PLANS), default="demo")
+    choosing.add_arguments(parser)
     parser.add_argument("--driving", type=driving.minutes, default=0, metavar="MINUTES", help="the players go on")
     parser.add_argument("--until", choices=STOPS, default="scenario")
     given = parser.parse_args()
     try:
-        settings = overrides(given.set)
-        wanted = Request(
-            given.scenario, settings, given.name, given.until, variant=given.variant, driving=given.driving
-        )
+        settings, cluster = topology.overrides(given.set), choosing.choice(given)
+        wanted = Request(given.scenario, settings, cluster, given.until, variant=given.variant, driving=given.driving)
         return run(wanted)
     except (SetUpError, ScenarioError) as error:
         print(f"error: {error}", file=sys.stderr)

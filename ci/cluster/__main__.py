@@ -1,4 +1,4 @@
-"""`python -m ci.cluster`: start, stop and inspect the embedded cluster."""
+"""`python -m ci.cluster`: start, stop and inspect the embedded cluster, or take Nodes of a cluster that is there."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import sys
 from pathlib import Path
 
 from ci import packages, preflight
-from ci.cluster import admission, images, topology
-from ci.cluster.addresses import PLANS
+from ci.cluster import admission, choosing, images, topology
 from ci.cluster.embedded import Embedded
+from ci.cluster.existing.provider import Existing
 from ci.cluster.records import ClusterFolders
 from ci.errors import InputError, SetUpError
 from ci.folders import PROJECT
@@ -23,13 +23,16 @@ def arguments() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m ci.cluster", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     for name, text in (
-        ("up", "start the cluster, or use the running one if it equals"),
-        ("down", "remove the cluster and prove it"),
+        (
+            "up",
+            "start the cluster, or use the running one if it equals; of one that is there: its Nodes become agents'",
+        ),
+        ("down", "remove the cluster and prove it; of one that is there: what was added"),
         ("status", "nodes, pods that are not ready, cost of the cluster's processes, what runs beside the kubelets"),
         ("run-dir", "print the folder of the cluster's files"),
     ):
         command = commands.add_parser(name, help=text)
-        command.add_argument("--name", choices=sorted(PLANS), default="demo")
+        choosing.add_arguments(command)
     up = commands.choices["up"]
     up.add_argument("--topology", type=Path, default=SCENARIO, help="a scenario.yaml")
     up.add_argument("--set", action="append", default=[], metavar="PARAMETER=VALUE", help="for example vehicles=3")
@@ -41,28 +44,23 @@ def arguments() -> argparse.ArgumentParser:
     up.add_argument(
         "--dry-run",
         action="store_true",
-        help="start nothing; list what of the running cluster admission would strand (exit code 1: something)",
+        help="start nothing; list what of the running cluster admission would strand (exit code 1: something); of one "
+        "that is there: what would be written",
     )
     return parser
 
 
-def overrides(settings: list[str]) -> dict[str, str]:
-    """`vehicles=3` -> {"vehicles": "3"}."""
-    pairs = [setting.partition("=") for setting in settings]
-    for name, equals, _ in pairs:
-        if not equals:
-            raise InputError(f"--set {name}: must be PARAMETER=VALUE, for example vehicles=3")
-    return {name: value for name, _, value in pairs}
-
-
 def run(options: argparse.Namespace) -> None:
     """Do one command; raises SetUpError."""
+    chosen = choosing.choice(options)
     if options.command == "run-dir":
-        print(ClusterFolders(options.name).base)
+        print(ClusterFolders(chosen.name).base)
     elif options.command == "down":
-        down(options.name)
+        down(chosen)
     elif options.command == "status":
-        print(Embedded(options.name, Path()).status())
+        print(choosing.nodes_provider(chosen).status())
+    elif chosen.kind == Existing.kind:
+        take(Existing(chosen.given), options.dry_run)
     elif options.dry_run:
         dry_run(options)
     else:
@@ -73,7 +71,7 @@ def dry_run(options: argparse.Namespace) -> None:
     """List what could not be made again under enforced admission; InputError when there is something."""
     from ci.cluster.stranded import stranded_now
 
-    wanted = topology.read(options.topology, overrides(options.set))
+    wanted = topology.read(options.topology, topology.overrides(options.set))
     lock = images.read_lock(options.images or images.lock_file())
     report = stranded_now(ClusterFolders(options.name), wanted, lock)
     print("\n".join(report.lines))
@@ -83,19 +81,32 @@ def dry_run(options: argparse.Namespace) -> None:
         )
 
 
-def down(name: str) -> None:
+def down(chosen: choosing.Choice) -> None:
     """Remove the cluster, and print what that was."""
-    removed = Embedded(name, Path()).down()
+    provider = choosing.nodes_provider(chosen)
+    removed = provider.down()
     if not removed:
-        print(f"cluster {name}: nothing to remove")
+        print(f"cluster {provider.name}: nothing to remove")
         return
-    print("\n".join([f"cluster {name}: removed", *(f"  {line}" for line in removed)]))
-    print(f"  kept: the logs in {ClusterFolders(name).log}")
+    print("\n".join([f"cluster {provider.name}: removed", *(f"  {line}" for line in removed)]))
+    print("".join(f"  kept: {line}\n" for line in provider.kept()), end="")
+
+
+def take(given: Existing, dry_run: bool) -> None:
+    """Make Nodes of a cluster that is there agents', or list what that would write; and say what this kind of cluster
+    cannot give."""
+    if dry_run:
+        print("\n".join(given.planned()) or f"cluster {given.name}: nothing would be written")
+        return
+    written = given.up()
+    lines = [f"cluster {given.name}: {len(written) or 'no'} Nodes changed", *(f"  {line}" for line in written)]
+    print("\n".join([*lines, *(f"  not given: {text}" for text in given.lacks)]))
+    print(f"values for the platform's chart: {given.values_file}")
 
 
 def up(options: argparse.Namespace) -> None:
     """Check everything that can be wrong first, then start."""
-    wanted = topology.read(options.topology, overrides(options.set))
+    wanted = topology.read(options.topology, topology.overrides(options.set))
     preflight.require()
     packages.ensure("cluster")
     lock = images.read_lock(options.images or images.lock_file())

@@ -12,6 +12,7 @@ from typing import TypeVar
 
 from ci.cluster import (
     admission,
+    cgroups,
     cleaning,
     containers,
     control_plane,
@@ -31,7 +32,7 @@ from ci.cluster.emulation import emulating
 from ci.cluster.node_processes import Node
 from ci.cluster.pki import Authority
 from ci.cluster.processes import Launcher, Process, recorded, wait_until
-from ci.cluster.provider import NodeState
+from ci.cluster.provider import ChartProfile, NodeState
 from ci.cluster.records import ClusterFolders, Record, one_at_a_time
 from ci.cluster.topology import NodeSpec, Topology
 from ci.errors import SetUpError
@@ -66,6 +67,9 @@ class Embedded:
     """One cluster by name; its state is on disk, so any process may make this object. `admission_choice`: see
     `admission.choice`; whether network policies are enforced: see `network_policies.choice`."""
 
+    kind = "embedded"
+    lacks: tuple[str, ...] = ()
+
     def __init__(self, name: str, binaries: Path, admission_choice: str = "") -> None:
         self.name = name
         self.admission = admission.choice(admission_choice)
@@ -98,6 +102,10 @@ class Embedded:
         with one_at_a_time():
             return cleaning.remove(self.name)
 
+    def kept(self) -> tuple[str, ...]:
+        """See Provider.kept."""
+        return (f"the logs in {self.folders.log}",)
+
     def status(self) -> str:
         """See Provider.status."""
         table = status.table(self.name, self.api(), recorded(self.folders))
@@ -106,6 +114,19 @@ class Embedded:
     def kubeconfig(self) -> Path:
         """See Provider.kubeconfig."""
         return self.folders.kubeconfig
+
+    def work(self) -> Path:
+        """See Provider.work."""
+        return self.folders.base / "values"
+
+    def chart_profile(self) -> ChartProfile:
+        """See Provider.chart_profile."""
+        return ChartProfile(("values-embedded.yaml",), {"suites": {"pool": objects.SUITE_NAMESPACES}})
+
+    def cpu_folder(self) -> Path:
+        """See Provider.cpu_folder."""
+        base = cgroups.ROOT if cgroups.unified() else (cgroups.ROOT / cgroups.ACCOUNTING).resolve()
+        return base / cgroups.top(self.name)
 
     def api(self) -> Api:
         """A connection as administrator; raises SetUpError when there is no cluster."""

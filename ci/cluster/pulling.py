@@ -10,7 +10,6 @@ import base64
 from pathlib import Path
 
 REGISTRY = "forge.robotkube.svc.cluster.local:3000"  # as charts/robotkube has it
-ACCOUNT = "nodes"
 
 
 def allow(folder: Path, url: str, username: str, password: str, host: str = REGISTRY) -> Path:

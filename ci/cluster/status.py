@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +19,13 @@ MIB = 2**20
 def nodes(api: Api) -> tuple[NodeState, ...]:
     """All registered nodes, in the order of their addresses."""
     items = api.get("/api/v1/nodes")["items"]
-    states = [_node(item) for item in items]
+    states = [node_state(item) for item in items]
     return tuple(sorted(states, key=lambda node: [int(part) for part in node.address.split(".")]))
 
 
-def _node(item: dict[str, Any]) -> NodeState:
-    labels = item["metadata"]["labels"]
+def node_state(item: Mapping[str, Any]) -> NodeState:
+    """A Node of the API server."""
+    labels = item["metadata"].get("labels", {})
     addresses = {entry["type"]: entry["address"] for entry in item["status"].get("addresses", [])}
     conditions = {entry["type"]: entry["status"] for entry in item["status"].get("conditions", [])}
     return NodeState(
@@ -38,12 +39,16 @@ def _node(item: dict[str, Any]) -> NodeState:
 
 def table(cluster: str, api: Api, processes: Sequence[Process]) -> str:
     """Three tables as text: nodes, pods by namespace, processes by program."""
-    rows = [("NODE", "ROLE", "AGENT", "ADDRESS", "READY")]
-    rows += [(n.name, n.role, n.agent, n.address, "yes" if n.ready else "NO") for n in nodes(api)]
     pods = [("NAMESPACE", "PODS", "NOT READY")]
     pods += _pods(api.get("/api/v1/pods")["items"])
     costs = [("PROGRAM", "PROCESSES", "ENDED", "MEMORY MiB", "CPU SECONDS"), *_costs(cluster, processes)]
-    return "\n\n".join(_aligned(part) for part in (rows, pods, costs))
+    return "\n\n".join([nodes_table(nodes(api)), _aligned(pods), _aligned(costs)])
+
+
+def nodes_table(states: Sequence[NodeState]) -> str:
+    """Nodes as a table of text."""
+    rows = [("NODE", "ROLE", "AGENT", "ADDRESS", "READY")]
+    return _aligned([*rows, *((n.name, n.role, n.agent, n.address, "yes" if n.ready else "NO") for n in states)])
 
 
 def _pods(items: Iterable[dict[str, Any]]) -> list[tuple[str, str, str]]:

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import yaml
 
@@ -23,12 +23,45 @@ CPU = re.compile(r"(\d+(?:\.\d+)?)(m?)")
 MEMORY = re.compile(r"(\d+)(Ki|Mi|Gi)")
 MEMORY_UNITS = {"Ki": 2**10, "Mi": 2**20, "Gi": 2**30}
 MEMORY_MINIMUM_BYTES = 256 * 2**20
+PLAYERS = ("vehicle", "roadside")  # roles whose agents play a bag
+BAGS_SIZE = "2Gi"
 NODE_KEYS = {"name", "count", "role", "agent", "capacity", "capabilities"}
 
 # In the world each of them is a machine of its own. Where all share one, vehicles go on as they would there, all wait
 # for the cloud, and the platform gets what is left, but for the broker: all vehicles wait for that.
 WEIGHTS = {"platform": 200, "cloud": 800}
 WEIGHT = 300
+
+
+def agent_labels(role: str, agent: str, capabilities: Iterable[str]) -> dict[str, str]:
+    """The labels of an agent's Node."""
+    named = {"robotkube.io/role": role, "robotkube.io/agent": agent}
+    return named | {f"robotkube.io/capability.{capability}": "true" for capability in capabilities}
+
+
+class AgentOfNode(Protocol):
+    """Whose a Node is."""
+
+    @property
+    def role(self) -> str: ...
+    @property
+    def agent(self) -> str: ...
+    @property
+    def capabilities(self) -> tuple[str, ...]: ...
+
+
+def chart_agents(nodes: Iterable[AgentOfNode]) -> list[dict[str, Any]]:
+    """Values `agents` of charts/robotkube: those of all Nodes outside of the platform."""
+    agents: dict[str, dict[str, Any]] = {}
+    for node in nodes:
+        if node.role == "platform":
+            continue
+        agent = agents.setdefault(node.agent, {"name": node.agent, "role": node.role})
+        if "recording" in node.capabilities:
+            agent["records"] = True
+        if node.role in PLAYERS:
+            agent["claims"] = [{"name": "bags", "size": BAGS_SIZE}]
+    return list(agents.values())
 
 
 @dataclass(frozen=True)
@@ -50,8 +83,7 @@ class NodeSpec:
     @property
     def labels(self) -> dict[str, str]:
         """Node labels that placement reads (docs/reference/contracts.md)."""
-        named = {"robotkube.io/role": self.role, "robotkube.io/agent": self.agent}
-        return named | {f"robotkube.io/capability.{capability}": "true" for capability in self.capabilities}
+        return agent_labels(self.role, self.agent, self.capabilities)
 
     @property
     def taints(self) -> tuple[dict[str, str], ...]:
@@ -79,6 +111,15 @@ def read(path: Path, overrides: Mapping[str, str] | None = None) -> Topology:
     if not isinstance(document, dict) or "topology" not in document:
         raise InputError(f"{path}: topology: is missing; add `topology: {{nodes: [...]}}`")
     return _Reader(str(path)).topology(document["topology"], dict(overrides or {}))
+
+
+def overrides(settings: Iterable[str]) -> dict[str, str]:
+    """`vehicles=3` -> {"vehicles": "3"}; InputError where something is no such pair."""
+    pairs = [setting.partition("=") for setting in settings]
+    for name, equals, _ in pairs:
+        if not equals:
+            raise InputError(f"--set {name}: must be PARAMETER=VALUE, for example vehicles=3")
+    return {name: value for name, _, value in pairs}
 
 
 class _Reader:

@@ -1,4 +1,4 @@
-"""`python -m scenarios.runner run SCENARIO --cluster demo [--variant small] [--set key=value]...`: one run and its
+"""`python -m scenarios.runner run SCENARIO [--cluster KIND] [--variant small] [--set key=value]...`: one run and its
 report; `drive SCENARIO --minutes 30` lets its players go round without a report, and `--minutes 0` stand.
 
 Exit code 0 when every expectation holds, 1 when one does not or the run broke off, 2 on bad usage, 3 without a cluster.
@@ -11,7 +11,8 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from ci.cluster.embedded import Embedded
+from ci.cluster import choosing
+from ci.cluster.provider import Provider
 from ci.errors import SetUpError
 from scenarios import definition
 from scenarios.definition import ScenarioError
@@ -49,22 +50,27 @@ def main(arguments: list[str] | None = None) -> int:
 def add_scenario(command: argparse.ArgumentParser) -> None:
     """Adds what names a scenario and its cluster."""
     command.add_argument("scenario", type=definition.find, help="its folder, or its name below scenarios/")
-    command.add_argument("--cluster", default="demo", help="name of the cluster")
+    choosing.add_arguments(command)
     command.add_argument("--variant", help="named set of parameters or steps in scenario.yaml")
     command.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="overrides a parameter")
 
 
 def run(given: argparse.Namespace, settings: Mapping[str, str]) -> int:
     """One run; its exit code."""
-    return running.run(given.scenario, given.cluster, settings, given.variant, reports=given.reports)
+    return running.run(given.scenario, provider_of(given), settings, given.variant, reports=given.reports)
 
 
 def drive(given: argparse.Namespace, settings: Mapping[str, str]) -> int:
     """Lets the players go round, or stand."""
     scenario = definition.load(given.scenario, [f"{key}={text}" for key, text in settings.items()], given.variant)
-    access = Access(Embedded(given.cluster, Path()).kubeconfig())
+    access = Access(provider_of(given).kubeconfig())
     driving.drive(access, scenario, given.minutes, print)
     return 0
+
+
+def provider_of(given: argparse.Namespace) -> Provider:
+    """The cluster that is named; InputError."""
+    return choosing.provider(choosing.choice(given))
 
 
 def pair(text: str) -> tuple[str, str]:

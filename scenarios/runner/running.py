@@ -10,8 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from ci.cluster import cgroups
-from ci.cluster.embedded import Embedded
+from ci.cluster.provider import Provider
 from ci.errors import SetUpError
 from ci.folders import PROJECT
 from scenarios import definition
@@ -43,7 +42,6 @@ from scenarios.runner.showing import Showing, showing
 from scenarios.runner.tasks import TaskWatch
 from scenarios.runner.waiting import RunError, wait_for
 
-PROVIDER = "embedded"
 REPORTS = PROJECT / "build" / "reports"
 EVIDENCE_FOLDER, EVIDENCE_KEYS = "evidence", "evidence-keys"
 START_DELAY_SECONDS = 3
@@ -59,10 +57,12 @@ StoredOfRun = tuple[tuple[Recording, ...], tuple[Stored, ...], tuple[AuditGap, .
 
 @dataclass
 class Run:
-    """A run under way: the tools it uses and what it has noted. `progress` shows people a line, on standard error."""
+    """A run under way: the tools it uses and what it has noted. `provider` is the kind of cluster, `progress` shows
+    people a line, on standard error."""
 
     scenario: Scenario
     access: Access
+    provider: str
     volumes: Volumes
     deployment: Deployment
     catalogue: Deployment
@@ -103,14 +103,14 @@ class Run:
 
 def run(
     folder: Path,
-    cluster: str,
+    provider: Provider,
     settings: Mapping[str, str],
     variant: str | None = None,
     set_up_seconds: Mapping[str, float] | None = None,
     reports: Path = REPORTS,
 ) -> int:
-    """Runs the scenario in `folder` on `cluster`; returns 0 only if every expectation holds, else 1. The report is
-    written to `reports`/<scenario>/.
+    """Runs the scenario in `folder` on the cluster of `provider`; returns 0 only if every expectation holds, else 1.
+    The report is written to `reports`/<scenario>/.
 
     Raises `ScenarioError` for a bad scenario or bag before anything has been touched.
     """
@@ -124,7 +124,7 @@ def run(
         checking.check_bag(bag, scenario, agent)
     seconds = dict(set_up_seconds or {}) | {"bags": round(time.monotonic() - began, 2)}
     try:
-        return _run(scenario, cluster, made, seconds, reports)
+        return _run(scenario, provider, made, seconds, reports)
     except RunError as error:
         _print_progress(f"error: {error}")
         return 1
@@ -134,8 +134,9 @@ def _print_progress(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def _run(scenario: Scenario, cluster: str, made: Mapping[str, Path], seconds: dict[str, float], reports: Path) -> int:
-    provider = Embedded(cluster, Path())
+def _run(
+    scenario: Scenario, provider: Provider, made: Mapping[str, Path], seconds: dict[str, float], reports: Path
+) -> int:
     access = Access(provider.kubeconfig())
     _check_nodes(scenario, provider)
     forge, story = access.endpoint("forge"), scenario.story
@@ -149,19 +150,21 @@ def _run(scenario: Scenario, cluster: str, made: Mapping[str, Path], seconds: di
         going = Run(
             scenario=scenario,
             access=access,
+            provider=provider.kind,
             volumes=provider,
             deployment=deployment,
             catalogue=catalogue,
             observer=BrokerObserver(access.broker_account("broker-account-observer", Path(mounted))),
             pods=PodWatch(access, [node.agent for node in scenario.nodes], _print_progress),
             tasks=TaskWatch(access, _print_progress),
-            sampler=CpuSampler(cpu_root(cluster)),
+            sampler=CpuSampler(provider.cpu_folder()),
             name=f"run-{time.strftime('%Y%m%d-%H%M%S', time.gmtime())}",
             progress=_print_progress,
             set_up_seconds=seconds,
             actor=actor,
             cables=Cables(scenario, provider.emulator(), _print_progress),
             showing=showing(access.kubeconfig, _print_progress),
+            warnings=lacking(provider, _print_progress),
         )
         actor.before_kill = going.keep_plans
         going.cables.check()
@@ -174,18 +177,20 @@ def _run(scenario: Scenario, cluster: str, made: Mapping[str, Path], seconds: di
     return 0 if done.passed else 1
 
 
+def lacking(provider: Provider, progress: Callable[[str], None]) -> list[str]:
+    """What this kind of cluster cannot give: said before the run, and the first warnings of its report."""
+    found = [f"a cluster of kind {provider.kind}: {text}" for text in provider.lacks]
+    for text in found:
+        progress(f"warning: {text}")
+    return found
+
+
 def _fetched(deployment: Deployment) -> Mapping[str, Any]:
     deployment.fetch()
     return deployment.releases()
 
 
-def cpu_root(cluster: str) -> Path:
-    """The cluster's folder in the hierarchy that counts CPU time."""
-    base = cgroups.ROOT if cgroups.unified() else (cgroups.ROOT / cgroups.ACCOUNTING).resolve()
-    return base / cgroups.top(cluster)
-
-
-def _check_nodes(scenario: Scenario, provider: Embedded) -> None:
+def _check_nodes(scenario: Scenario, provider: Provider) -> None:
     """The cluster must have the scenario's nodes, else the run would wait for players that cannot exist."""
     there = {node.name for node in provider.nodes() if node.ready}
     missing = [node.name for node in scenario.nodes if node.name not in there]
@@ -375,7 +380,7 @@ def collect(going: Run) -> RunInputs:
     released = read("releases of the run", lambda: evidence.released(_releases_of_the_run(going)), (), "released")
     return RunInputs(
         run=going.name,
-        provider=PROVIDER,
+        provider=going.provider,
         started=going.started,
         ended=ended,
         ledgers=collecting.ledgers(scenario, going.volume_folders, going.name, reading) if scenario.players else {},

@@ -16,6 +16,7 @@ from ci import evidence
 from ci.cluster import admission, node_processes, objects, topology
 from ci.cluster.addresses import plan_of
 from ci.cluster.catalogue_on_disk import CatalogueOnDisk
+from ci.cluster.embedded import Embedded
 from ci.cluster.images import Image
 from ci.cluster.records import ClusterFolders
 from ci.cluster.stranded import report
@@ -114,11 +115,12 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Demo]:
         with prepared_cluster(folder, options=options, kinds=()) as cluster, controlling(folder, cluster.kubeconfig):
             nodes = node_processes.nodes_of(wanted.nodes, plan_of(folders.name), folders)
             objects.create(Calls(cluster), nodes)  # type: ignore[arg-type]
-            own = admission.folder(folders)
+            own, profile = admission.folder(folders), Embedded(folders.name, binaries).chart_profile()
             forge = Forge(folder / "forge")
             on_disk = CatalogueOnDisk(lambda: forge.repositories, own / "clones")
             following = admission.following(folders, CatalogueListing(on_disk, TrustedKeys(own / "keys")))
-            found = Demo(cluster, folders, WithoutNodes(binaries, cluster.kubeconfig, folder), wanted, forge, following)
+            installer = WithoutNodes(binaries, cluster.kubeconfig, folder, profile)
+            found = Demo(cluster, folders, installer, wanted, forge, following)
             found.install()
             yield found
 

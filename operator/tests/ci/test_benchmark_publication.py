@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import publication, registry
+from benchmarks import registry
 from benchmarks.publication import Costs, compare, comparison, suite_seconds
 from ci import publish
-from ci.cluster import cleaning
+from ci.cluster import choosing, cleaning
 from ci.errors import SetUpError
 from ci.installation import Installer
 from ci.steps import Steps
@@ -56,8 +56,8 @@ class BenchmarkStage:
 
     def bring_up(self, request: demo.Request, steps: Steps) -> Installer:
         assert not self.running
-        self.running.add(request.name)
-        self.done.append(f"up {request.name} {request.settings} {request.until}")
+        self.running.add(request.cluster.name)
+        self.done.append(f"up {request.cluster.name} {request.settings} {request.until}")
         self.kept.append(request.kept)
         assert request.kept is not None
         assert list(request.kept.iterdir()) == []
@@ -90,7 +90,7 @@ def world(published: Mapping[str, str], tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(cleaning, "leftovers", made.leftovers)
     monkeypatch.setattr(demo, "bring_up", made.bring_up)
     monkeypatch.setattr(publish, "publish", made.publish)
-    monkeypatch.setattr(publication, "Embedded", Embedded)
+    monkeypatch.setattr(choosing, "Embedded", Embedded)
     monkeypatch.setattr(registry, "RECORD", tmp_path / "bench" / "registry.json")
     return made
 

@@ -95,6 +95,25 @@ def test_a_wrong_parameter_ends_the_demo_before_its_beginning(
     assert message in line.removeprefix("error: ")
 
 
+@pytest.mark.parametrize(
+    ("kind", "first"),
+    [
+        ("kind", "CLUSTER=kind: there is no such kind of cluster; there is embedded: "),
+        ("existing", "CLUSTER=existing goes as far as `make nodes`:"),
+    ],
+)
+def test_a_cluster_that_cannot_run_it_ends_the_demo_before_its_beginning(
+    home: Path, kind: str, first: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("HOME", "XDG_CACHE_HOME"):
+        monkeypatch.setenv(name, str(home))
+    monkeypatch.setattr(sys, "argv", ["demo", str(SCENARIO), "--cluster", kind])
+    assert demo.main() == 1
+    printed = capsys.readouterr()
+    assert (printed.out, list(home.iterdir())) == ("", [])
+    assert printed.err.removeprefix("error: ").startswith(first)
+
+
 def test_a_wrong_scenario_ends_the_demo_before_its_beginning(home: Path, tmp_path: Path) -> None:
     assert "there is no such file; give the folder of a scenario" in refused(
         home, "scenarios.demo", str(tmp_path / "none")

@@ -190,6 +190,29 @@ def test_ros_and_the_tests_are_imported_where_they_may_be_alone(place: Path, nam
     assert "; only " in finding
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "from ci.cluster.embedded import Embedded",
+        "from ci.cluster import cgroups",
+        "import ci.cluster.addresses",
+        "from ci.cluster.images_elsewhere import Image",
+    ],
+)
+@pytest.mark.parametrize("name", ["scenarios/demo.py", "benchmarks/one.py", "ci/publish.py"])
+def test_who_uses_a_cluster_does_not_know_its_kind(place: Path, name: str, text: str) -> None:
+    write(place, name, f"{text}\n")
+    [finding] = findings(place)
+    assert finding.startswith(f"{name}:1: imports ci.cluster.")
+    assert "does not know its kind" in finding
+
+
+def test_what_all_kinds_of_clusters_have_may_be_known(place: Path) -> None:
+    write(place, "scenarios/demo.py", "from ci.cluster import choosing\nfrom ci.cluster.provider import Provider\n")
+    write(place, "ci/cluster/choosing.py", "from ci.cluster.embedded import Embedded\n")
+    assert findings(place) == []
+
+
 def test_the_templates_of_repositories_import_nothing_of_ours(place: Path) -> None:
     name = "gitops/argocd/render.py"
     write(place, name, "import yaml\n")

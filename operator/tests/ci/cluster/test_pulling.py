@@ -9,7 +9,8 @@ from urllib.parse import urlsplit
 import pytest
 
 from ci.cluster import pulling
-from ci.cluster.pulling import ACCOUNT, REGISTRY, host_folder, hosts_toml
+from ci.cluster.pulling import REGISTRY, host_folder, hosts_toml
+from ci.publish import PULL_ACCOUNT
 from robotkube.cli import main as cli
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.suites.core.image_checks import BILL_TYPE
@@ -28,10 +29,10 @@ def test_the_file_is_where_containerd_looks_and_only_root_reads_it(tmp_path: Pat
         "forge.robotkube.svc.cluster.local_3000_",
     )
     for password in ("first", "second"):
-        path = pulling.allow(tmp_path, "http://10.97.0.9:3000", ACCOUNT, password)
+        path = pulling.allow(tmp_path, "http://10.97.0.9:3000", PULL_ACCOUNT, password)
         assert path == tmp_path / "forge.robotkube.svc.cluster.local_3000_" / "hosts.toml"
         assert path.stat().st_mode & 0o777 == 0o600
-        assert path.read_text() == hosts_toml("http://10.97.0.9:3000", ACCOUNT, password)
+        assert path.read_text() == hosts_toml("http://10.97.0.9:3000", PULL_ACCOUNT, password)
 
 
 @pytest.fixture
@@ -63,7 +64,9 @@ def test_a_kubelet_pulls_what_is_in_no_archive(installation: Installation, node:
         return image in node.ctr("--namespace", "k8s.io", "images", "list", "--quiet").split()
 
     with way_to(node.holder.pid, urlsplit(installation.url).port or 0) as port:
-        pulling.allow(node.folders.hosts, f"http://127.0.0.1:{port}", ACCOUNT, installation.passwords[ACCOUNT])
+        pulling.allow(
+            node.folders.hosts, f"http://127.0.0.1:{port}", PULL_ACCOUNT, installation.passwords[PULL_ACCOUNT]
+        )
         node.run_pod("other", {"containers": [{"name": "other", "image": elsewhere}]})
         node.run_pod("own", {"containers": [{"name": "own", "image": reference}]})
         until(lambda: has(reference), "the image is pulled", 60)

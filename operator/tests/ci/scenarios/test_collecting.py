@@ -83,6 +83,7 @@ def going(run: Any, monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         name="run-1",
         scenario=run.scenario,
         access=Answers(known),
+        provider="embedded",
         volumes=None,
         volume_folders={},
         deployment=forge,

@@ -390,6 +390,13 @@ def test_segments_of_volumes_that_are_away_are_not_found(scenario: definition.Sc
     assert find("cloud-9/recordings", "a/1.mcap") is None
 
 
+def test_what_a_kind_of_cluster_cannot_give_is_said_and_reported() -> None:
+    said: list[str] = []
+    provider = SimpleNamespace(kind="other", lacks=("nodes have no outages",))
+    assert running.lacking(provider, said.append) == ["a cluster of kind other: nodes have no outages"]  # type: ignore[arg-type]
+    assert said == ["warning: a cluster of kind other: nodes have no outages"]
+
+
 def test_the_commands_to_look_around_are_whole(scenario: definition.Scenario) -> None:
     found = list(inspection.commands(scenario, Path("kubeconfig"), Endpoint("10.96.0.9", 3000)))
     assert all(shlex.split(command) for _, command in found)

@@ -20,6 +20,7 @@ import pytest
 
 from ci import preparing, publish
 from ci.cluster import topology
+from ci.cluster.choosing import Choice
 from ci.cluster.embedded import Embedded
 from ci.folders import PROJECT
 from ci.images.services import SERVICE_NAMES
@@ -141,7 +142,7 @@ def aged(pytestconfig: pytest.Config, no_demo: None, tmp_path_factory: pytest.Te
     settings = {"vehicles": str(len(scenario.vehicles))}
     with spoken(pytestconfig):
         Embedded(NAME, Path()).down()
-        installer = demo.bring_up(demo.Request(SCENARIO, settings, NAME, "cluster"), Steps(STEPS))
+        installer = demo.bring_up(demo.Request(SCENARIO, settings, Choice(NAME), "cluster"), Steps(STEPS))
         references = preparing.everything().references()
         installer.argocd(references)
         wanted = topology.read(SCENARIO / "scenario.yaml", settings)

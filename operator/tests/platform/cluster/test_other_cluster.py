@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from ci.cluster import admission
+from ci.cluster.choosing import Choice
 from ci.cluster.embedded import Embedded
 from ci.errors import SetUpError
 from ci.steps import Steps
@@ -40,7 +41,7 @@ def platform(
     kept = tmp_path_factory.mktemp("evidence")  # another key's would be refused
     with pytest.MonkeyPatch.context() as patch, spoken(pytestconfig):
         patch.setenv(admission.VARIABLE, admission.OFF)
-        request = demo.Request(SCENARIO, settings, NAME, "platform", kept, values=VALUES)
+        request = demo.Request(SCENARIO, settings, Choice(NAME), "platform", kept, values=VALUES)
         installer = demo.bring_up(request, Steps(STEPS))
         found = Platform(installer, Embedded(NAME, installer.binaries), Access(installer.kubeconfig), scenario)
     yield found

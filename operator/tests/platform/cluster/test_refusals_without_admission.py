@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from ci.cluster import admission
+from ci.cluster.choosing import Choice
 from ci.cluster.embedded import Embedded
 from ci.steps import Steps
 from scenarios import definition, demo
@@ -45,7 +46,7 @@ def platform(
     Embedded(NAME, Path()).down()
     with pytest.MonkeyPatch.context() as patch, spoken(pytestconfig):
         patch.setenv(admission.VARIABLE, admission.OFF)
-        installer = demo.bring_up(demo.Request(SCENARIO, settings, NAME, "platform"), Steps(STEPS))
+        installer = demo.bring_up(demo.Request(SCENARIO, settings, Choice(NAME), "platform"), Steps(STEPS))
         found = Platform(installer, Embedded(NAME, installer.binaries), Access(installer.kubeconfig), scenario)
     eventually("all Applications synced and healthy", found.settled)
     with asleep(found, "manager"):

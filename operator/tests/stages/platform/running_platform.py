@@ -18,6 +18,7 @@ import pytest
 
 from ci.cluster import cleaning
 from ci.cluster.addresses import plan_of
+from ci.cluster.choosing import Choice
 from ci.cluster.embedded import Embedded
 from ci.errors import SetUpError
 from ci.folders import PROJECT
@@ -142,7 +143,7 @@ def shared(config: pytest.Config) -> Platform:
     those of the small scenario."""
     with spoken(config):
         print(file=sys.stderr)
-        request = demo.Request(WIDEST, {}, NAME, "platform", values=VALUES)
+        request = demo.Request(WIDEST, {}, Choice(NAME), "platform", values=VALUES)
         installer = demo.bring_up(request, Steps(STEPS))
     access = Access(installer.kubeconfig)
     return Platform(installer, Embedded(NAME, installer.binaries), access, definition.load(SCENARIO, [], VARIANT))

@@ -52,7 +52,7 @@ def play(platform: Platform, scenario: Path, variant: str, folder: Path) -> Stor
     """Run to the end; the run itself is judged by tests."""
     before, pods = counters(platform), {}
     output, talk = folder / "output", folder / "talk"
-    command = [sys.executable, "-m", "scenarios.runner", "run", str(scenario), "--cluster", platform.name]
+    command = [sys.executable, "-m", "scenarios.runner", "run", str(scenario), "--name", platform.name]
     command += ["--variant", variant, "--reports", str(folder)]
     with output.open("w") as out, talk.open("w") as said:
         process = subprocess.Popen(command, cwd=PROJECT, stdout=out, stderr=said)

@@ -1,0 +1,72 @@
+"""Which cluster is meant: the one place that knows the kinds of clusters by name. Everybody else gets a provider."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ci.cluster import cleaning
+from ci.cluster.addresses import PLANS
+from ci.cluster.embedded import Embedded
+from ci.cluster.existing.provider import Existing, GivenCluster
+from ci.cluster.provider import NodesProvider, Provider
+from ci.errors import InputError
+
+NAME = "demo"
+OFFERED = {
+    Embedded.kind: "made of this machine's processes; runs everything",
+    Existing.kind: "a cluster that somebody else made; its Nodes become agents' (make nodes)",
+}
+"""Kinds of clusters, and what each is."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A cluster: which one of those that are made, which kind, and how one is reached that is given."""
+
+    name: str = NAME
+    kind: str = Embedded.kind
+    given: GivenCluster = field(default_factory=GivenCluster)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What names a cluster on a command line."""
+    parser.add_argument("--cluster", default=Embedded.kind, metavar="KIND", help=f"one of {', '.join(OFFERED)}")
+    parser.add_argument("--name", choices=sorted(PLANS), default=NAME, help="of a cluster that is made")
+    given = parser.add_argument_group(f"of a cluster that is there ({Existing.kind})")
+    given.add_argument("--kubeconfig", default="", metavar="FILE", help="default: that of kubectl")
+    given.add_argument("--context", default="", help="of the kubeconfig (default: its current one)")
+    given.add_argument("--registry", default="", metavar="HOST/PATH", help="where the cluster pulls the images")
+    given.add_argument("--agents", type=Path, default=GivenCluster.agents, metavar="FILE", help="which Nodes are whose")
+    given.add_argument("--yes", action="store_true", help="what is written is agreed to; nobody is asked")
+
+
+def choice(given: argparse.Namespace) -> Choice:
+    """The cluster that a command line names; InputError says what is there."""
+    if given.cluster not in OFFERED:
+        there = "; ".join(f"{kind}: {what}" for kind, what in OFFERED.items())
+        raise InputError(f"CLUSTER={given.cluster}: there is no such kind of cluster; there is {there}")
+    reached = GivenCluster(given.kubeconfig, given.context, given.registry, given.agents, given.yes)
+    return Choice(given.name, given.cluster, reached)
+
+
+def provider(chosen: Choice, binaries: Path = Path()) -> Provider:
+    """The cluster, for an installation and for scenarios; InputError where there is only a part of it."""
+    if chosen.kind == Existing.kind:
+        raise InputError("\n".join((f"CLUSTER={chosen.kind} goes as far as `make nodes`:", *Existing.lacks)))
+    return Embedded(chosen.name, binaries)
+
+
+def nodes_provider(chosen: Choice) -> NodesProvider:
+    """The cluster, for its Nodes alone."""
+    return Existing(chosen.given) if chosen.kind == Existing.kind else provider(chosen)
+
+
+def remove_running(say: Callable[[str], None]) -> None:
+    """Remove the clusters that run on this machine's own processes: for those who need a new one."""
+    for name in PLANS:
+        if cleaning.leftovers(name):
+            say(f"stopping the cluster {name}: only one can run, and it must be a new one")
+            Embedded(name, Path()).down()

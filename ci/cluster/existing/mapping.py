@@ -1,0 +1,101 @@
+"""The file agents.yaml: which of a cluster's Nodes are whose.
+
+    agents:
+    - {node: worker-1, role: platform, agent: platform}
+    - {node: worker-2, role: cloud, agent: cloud-0, capabilities: [recording]}
+    - {selector: {example.com/robot: "7"}, role: vehicle, agent: vehicle-00, capabilities: [lidar, recording]}
+
+An entry means the Node of that name, or every Node with these labels. Every refusal names file, key and fix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ci.cluster.topology import LABEL, agent_labels
+from ci.errors import InputError
+
+KEYS = {"node", "selector", "role", "agent", "capabilities"}
+EXAMPLE = "agents: [{node: worker-1, role: vehicle, agent: vehicle-00, capabilities: [lidar]}]"
+
+
+@dataclass(frozen=True)
+class AgentEntry:
+    """One entry: the Node called `node`, or those with the labels `selector`, and what they are to be."""
+
+    node: str
+    selector: tuple[tuple[str, str], ...]
+    role: str
+    agent: str
+    capabilities: tuple[str, ...] = ()
+
+    def means(self, name: str, labels: Mapping[str, str]) -> bool:
+        """Whether a Node is meant."""
+        return name == self.node if self.node else all(labels.get(key) == value for key, value in self.selector)
+
+    @property
+    def labels(self) -> dict[str, str]:
+        """What makes a Node this agent's."""
+        return agent_labels(self.role, self.agent, self.capabilities)
+
+    def __str__(self) -> str:
+        nodes = f"node {self.node}" if self.node else ",".join(f"{key}={value}" for key, value in self.selector)
+        return f"{self.agent} ({nodes})"
+
+
+def read(path: Path) -> tuple[AgentEntry, ...]:
+    """The entries of a file; InputError."""
+    try:
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); write one, for example: {EXAMPLE}") from error
+    except yaml.YAMLError as error:
+        raise InputError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
+    entries = document.get("agents") if isinstance(document, dict) else None
+    if not isinstance(entries, list) or not entries:
+        raise InputError(f"{path}: agents: must be a list with at least one entry, for example: {EXAMPLE}")
+    return tuple(_entry(f"{path}: agents[{number}]", entry) for number, entry in enumerate(entries))
+
+
+def _entry(where: str, entry: Any) -> AgentEntry:
+    if not isinstance(entry, dict):
+        raise InputError(f"{where}: must be a mapping, for example: {EXAMPLE}")
+    unknown = sorted(set(map(str, entry)) - KEYS)
+    if unknown:
+        raise InputError(f"{where}.{unknown[0]}: is unknown; known keys are {', '.join(sorted(KEYS))}")
+    if ("node" in entry) == ("selector" in entry):
+        raise InputError(f"{where}: must have either node (the name of one) or selector (labels of several)")
+    node = entry.get("node", "")
+    if "node" in entry and (not isinstance(node, str) or not node):
+        raise InputError(f"{where}.node: {node!r} must be the name of a Node")
+    role, agent = (_label(f"{where}.{key}", entry.get(key)) for key in ("role", "agent"))
+    return AgentEntry(node, tuple(_selector(where, entry)), role, agent, tuple(_capabilities(where, entry)))
+
+
+def _selector(where: str, entry: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    selector = entry.get("selector", {})
+    if "selector" in entry and (not isinstance(selector, dict) or not selector):
+        raise InputError(f'{where}.selector: must be labels of Nodes, for example {{example.com/robot: "7"}}')
+    for key, value in sorted(selector.items()):
+        if not isinstance(value, str):
+            raise InputError(f'{where}.selector.{key}: {value!r} must be text; write it in quotes: "{value}"')
+        yield str(key), value
+
+
+def _capabilities(where: str, entry: Mapping[str, Any]) -> Iterator[str]:
+    capabilities = entry.get("capabilities", [])
+    if not isinstance(capabilities, list):
+        raise InputError(f"{where}.capabilities: must be a list, for example [recording]")
+    for capability in capabilities:
+        yield _label(f"{where}.capabilities", capability)
+
+
+def _label(where: str, value: Any) -> str:
+    if not isinstance(value, str) or not LABEL.fullmatch(value):
+        raise InputError(f"{where}: {value!r} must be lower-case letters, digits and hyphens, at most 40")
+    return value

@@ -1,0 +1,52 @@
+"""Which cluster a command line means, and what is said of those that are not there or give only a part."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import pytest
+
+from ci.cluster import choosing
+from ci.cluster.choosing import Choice
+from ci.cluster.embedded import Embedded
+from ci.cluster.existing.provider import GivenCluster
+from ci.errors import InputError
+
+
+def chosen(*words: str) -> Choice:
+    parser = argparse.ArgumentParser()
+    choosing.add_arguments(parser)
+    return choosing.choice(parser.parse_args(words))
+
+
+def test_without_a_word_it_is_the_one_that_needs_nothing() -> None:
+    assert chosen() == Choice("demo", "embedded")
+    provider = choosing.provider(chosen("--name", "test"))
+    assert isinstance(provider, Embedded)
+    assert (provider.name, provider.kind, provider.lacks) == ("test", "embedded", ())
+
+
+def test_how_a_cluster_that_is_there_is_reached() -> None:
+    words = ("--kubeconfig", "k", "--context", "c", "--registry", "example.com/r", "--agents", "a.yaml", "--yes")
+    given = GivenCluster("k", "c", "example.com/r", Path("a.yaml"), agreed=True)
+    assert chosen("--cluster", "existing", *words) == Choice("demo", "existing", given)
+
+
+@pytest.mark.parametrize("kind", ["kind", "k3s", ""])
+def test_kinds_that_are_not_offered_are_refused_with_those_that_are(kind: str) -> None:
+    with pytest.raises(InputError, match=f"CLUSTER={kind}: there is no such kind .* embedded: .*; existing: "):
+        chosen("--cluster", kind)
+
+
+def test_what_a_kind_cannot_run_is_said_before_anything_begins() -> None:
+    with pytest.raises(
+        InputError, match=r"CLUSTER=existing goes as far as `make nodes`:\n(.*\n)*a scenario does not run"
+    ):
+        choosing.provider(chosen("--cluster", "existing"))
+
+
+def test_the_chart_is_told_what_the_embedded_cluster_needs() -> None:
+    profile = choosing.provider(Choice()).chart_profile()
+    assert profile.files == ("values-embedded.yaml",)
+    assert profile.values == {"suites": {"pool": 3}}
