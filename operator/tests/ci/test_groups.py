@@ -193,11 +193,12 @@ def test_a_run_that_is_killed_keeps_its_counts(tmp_path: Path) -> None:
 
 INTERRUPTED = """
 import os, pathlib, signal, time
+STARTED_BY = os.getppid()
 def test_ends():
     noted = pathlib.Path(os.environ["ROBOTKUBE_TEST_RESULTS"])
     while "test_ends" not in (noted.read_text() if noted.exists() else ""):
         time.sleep(0.05)
-    os.kill(os.getppid(), signal.SIGINT)
+    os.kill(STARTED_BY, signal.SIGINT)
     time.sleep(60)
 """
 WITH_ERROR = """
