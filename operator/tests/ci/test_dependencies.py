@@ -34,6 +34,7 @@ PLATFORM = (
     "robotkube.registry.suites.__main__",
     "robotkube.setup.teardown",
     "robotkube.setup.gate_key",
+    "robotkube.setup.installation_test",
 )
 ROBOT = (
     "robotkube.robots.bridge.__main__",
