@@ -35,6 +35,7 @@ PLATFORM = (
     "robotkube.setup.teardown",
     "robotkube.setup.gate_key",
     "robotkube.setup.installation_test",
+    "robotkube.delivery.preflight.probe",
 )
 ROBOT = (
     "robotkube.robots.bridge.__main__",
