@@ -21,6 +21,7 @@ NAMESPACES = {
     "agents": "each agent's",
     "recording": "each recording agent's",
     "test": "each test namespace",
+    "probe": "`<namespace of the release>-probe`",
 }
 AT = {
     "name-service": "UDP and TCP, `networkPolicies.dns.ports`",

@@ -73,3 +73,37 @@ username: {{ .agent.name }}
 password: {{ include "robotkube.agentBrokerPassword" . }}
 {{ include "robotkube.brokerEndpoint" .root }}
 {{- end }}
+
+{{- /* The values of installationTest, also when an upgrade reuses values from before there were any. */ -}}
+{{- define "robotkube.installationTest" -}}
+{{- toYaml (merge (dict) (.Values.installationTest | default dict) (dict "agent" "" "application" "pose-point-cloud-recording" "parameters" dict)) }}
+{{- end }}
+
+{{- /* The agent in whose name the installation is tried: the first that records; none where its account of the database is not of the
+       chart's making. */ -}}
+{{- define "robotkube.testAgent" -}}
+{{- $found := list }}
+{{- if ne .Values.database.kind "external" }}
+{{- range .Values.agents }}{{ if and .records (not .reserved) }}{{ $found = append $found .name }}{{ end }}{{ end }}
+{{- end }}
+{{- if $found }}{{ (include "robotkube.installationTest" . | fromYaml).agent | default (first $found) }}{{ end -}}
+{{- end }}
+
+{{- /* The parameters of its task: as given, else the first agent of role vehicle. JSON. */ -}}
+{{- define "robotkube.testParameters" -}}
+{{- $parameters := (include "robotkube.installationTest" . | fromYaml).parameters | default dict }}
+{{- $vehicles := list }}
+{{- range .Values.agents }}{{ if eq (.role | default "") "vehicle" }}{{ $vehicles = append $vehicles .name }}{{ end }}{{ end }}
+{{- if and $vehicles (not $parameters) }}{{ $parameters = dict "vehicles" (list (first $vehicles)) }}{{ end -}}
+{{ toJson $parameters }}
+{{- end }}
+
+{{- /* What is wrong with installationTest, one line. */ -}}
+{{- define "robotkube.installationTestRefusals" -}}
+{{- $wanted := (include "robotkube.installationTest" . | fromYaml).agent }}
+{{- $recording := list }}
+{{- range .Values.agents }}{{ if .records }}{{ $recording = append $recording .name }}{{ end }}{{ end }}
+{{- if and $wanted (not (has $wanted $recording)) }}
+{{ printf "installationTest.agent %q: no agent of this name records. Name one with records: true, or leave it out." $wanted }}
+{{- end }}
+{{- end }}

@@ -12,7 +12,7 @@
 {{- end }}
 {{- if .Values.suites.enabled }}{{ range $i := until (int .Values.suites.pool) }}{{ $test = append $test (include "robotkube.testNamespace" $i) }}{{ end }}{{ end }}
 {{- $argocd := list .Values.argocd.namespace }}
-{{- toYaml (dict "platform" (list .Release.Namespace) "gate" (list (include "robotkube.gateNamespace" .)) "argocd" $argocd "agents" $agents "recording" $recording "test" $test) }}
+{{- toYaml (dict "platform" (list .Release.Namespace) "gate" (list (include "robotkube.gateNamespace" .)) "argocd" $argocd "agents" $agents "recording" $recording "test" $test "probe" (list (printf "%s-probe" .Release.Namespace))) }}
 {{- end }}
 
 {{- /* What stands elsewhere or is not installed: party -> the ports at which it is reached there, as YAML. Without ports it is nowhere. */ -}}
@@ -34,6 +34,7 @@
 {{- if not (include "robotkube.console" . | fromYaml).enabled }}{{ $_ := set $found "console" list }}{{ end }}
 {{- if not (include "robotkube.certificatesMade" .) }}{{ $_ := set $found "certificates" list }}{{ end }}
 {{- if .Values.evidence.existingSecret }}{{ $_ := set $found "gate-key" list }}{{ end }}
+{{- if not (include "robotkube.testAgent" .) }}{{ $_ := set $found "installation-test" list }}{{ end }}
 {{- $_ := set $found "collector" list }}
 {{- with .Values.traces.endpoint }}{{ $_ := set $found "collector" (list (include "robotkube.portOfUrl" . | int)) }}{{ end }}
 {{- toYaml $found }}

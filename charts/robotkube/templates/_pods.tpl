@@ -30,7 +30,7 @@ imagePullSecrets: {{- toYaml . | nindent 2 }}
 {{- $given := dict "commonLabels" (.Values.commonLabels | default dict) }}
 {{- $components := dict }}
 {{- range $i, $manager := .Values.managers }}{{ $_ := set $components (printf "managers[%d]" $i) $manager }}{{ end }}
-{{- range $name := list "gate" "suites" "broker" "database" "forge" "bootstrap" "teardown" "admission" "inspection" "remover" "rights" "certificates" "console" }}{{ $_ := set $components $name (get $.Values $name | default dict) }}{{ end }}
+{{- range $name := list "gate" "suites" "broker" "database" "forge" "bootstrap" "teardown" "installationTest" "admission" "inspection" "remover" "rights" "certificates" "console" }}{{ $_ := set $components $name (get $.Values $name | default dict) }}{{ end }}
 {{- range $name, $values := $components }}
 {{- range $key := list "podLabels" "podAnnotations" }}{{ $_ := set $given (printf "%s.%s" $name $key) (get $values $key | default dict) }}{{ end }}
 {{- end }}

@@ -47,6 +47,9 @@
 {{- range $line := splitList "\n" (include "robotkube.managerRefusals" .) }}
 {{- if trim $line }}{{ $problems = append $problems (trim $line) }}{{ end }}
 {{- end }}
+{{- range $line := splitList "\n" (include "robotkube.installationTestRefusals" .) }}
+{{- if trim $line }}{{ $problems = append $problems (trim $line) }}{{ end }}
+{{- end }}
 {{- range $line := splitList "\n" (include "robotkube.peopleRefusals" .) }}
 {{- if trim $line }}{{ $problems = append $problems (trim $line) }}{{ end }}
 {{- end }}

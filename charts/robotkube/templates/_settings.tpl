@@ -211,6 +211,16 @@ argocd: {namespace: {{ .Values.argocd.namespace }}, project: robotkube-apps, app
 wait_seconds: {{ .Values.teardown.waitSeconds | int }}
 {{- end }}
 
+{{- define "robotkube.installationTestSettings" -}}
+log_level: {{ .Values.logLevel }}
+agent: {{ include "robotkube.testAgent" . }}
+application: {{ (include "robotkube.installationTest" . | fromYaml).application }}
+parameters: {{ include "robotkube.testParameters" . }}
+database: /var/run/secrets/robotkube/database
+platform_namespace: {{ .Release.Namespace }}
+argocd_namespace: {{ .Values.argocd.namespace }}
+{{- end }}
+
 {{- /* Pod fields of a process that reads such a file. Arguments: {root, component}. */ -}}
 {{- define "robotkube.settingsAnnotation" -}}
 robotkube.io/settings: {{ include (printf "robotkube.%sSettings" .component) .root | sha256sum | trunc 16 | quote }}

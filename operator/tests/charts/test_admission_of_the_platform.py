@@ -130,7 +130,7 @@ def test_every_workload_of_the_platform_gets_its_pods(demo: Demo, helm: Helm) ->
     values = platform_values(REFERENCES, demo.wanted)
     jobs = helm.template(PLATFORM, PLATFORM / "values-embedded.yaml", **values).of_kind("Job")
     components = {job["metadata"]["labels"]["app.kubernetes.io/component"] for job in jobs}
-    assert components == {"bootstrap", "gate-key", "teardown"}
+    assert components == {"bootstrap", "gate-key", "installation-test", "teardown"}
     for job in jobs:
         demo.cluster.kubectl("apply", "-f", "-", text=yaml.safe_dump(job))
     until(lambda: not demo.without_pods(), f"pods of all workloads; {demo.without_pods()}")

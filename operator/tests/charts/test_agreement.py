@@ -31,7 +31,7 @@ from robotkube.robots.bridge.core.settings import read_bridge_settings
 from robotkube.robots.detector.core.settings import read_detector_settings
 from robotkube.robots.perception.core.detection_settings import read_detection_settings
 from robotkube.robots.perception.core.tracking_settings import read_tracking_settings
-from robotkube.setup import bootstrap, gate_key, teardown
+from robotkube.setup import bootstrap, gate_key, installation_test, teardown
 from tests.stages.forge.installation import ACCOUNTS, PACKAGES
 from tests.stages.paths import CHARTS
 from tests.stages.registry import chart_images
@@ -44,6 +44,7 @@ PROCESSES: dict[str, Any] = {
     "bootstrap": bootstrap,
     "gate": gate,
     "inspector": inspector,
+    "installation-test": installation_test,
     "manager": manager,
     "rights": rights,
     "suite-runner": suite_runner,

@@ -81,6 +81,7 @@ def pods(
     places.append(("kube-system", "coredns", {"k8s-app": "kube-dns"}))
     places.append(("kube-system", "other", {}))
     places.append(("monitoring", "prometheus", {}))
+    places.append(("robotkube-probe", "probe", {"app.kubernetes.io/component": "probe"}))
     places.append(("default", "stranger", {"app.kubernetes.io/component": "manager"}))
     return {found.name: found for number, place in enumerate(places) for found in [pod(*place, number)]}
 
@@ -92,10 +93,11 @@ def policies(objects: Sequence[Object]) -> list[NetworkPolicy]:
 def meaning(everybody: Mapping[str, NetworkPeer], recording: Sequence[str]) -> dict[str, set[str]]:
     """The names of the table: which pods each means."""
     names = ["manager", "suite-runner", "inspector", "rights", "certificates", "forge", "broker", "database", *OPTIONAL]
-    found = {name: {f"robotkube/{name}"} for name in (*names, "bootstrap", "teardown")}
+    found = {name: {f"robotkube/{name}"} for name in (*names, "bootstrap", "teardown", "installation-test")}
     found |= {name: found[name] & set(everybody) for name in OPTIONAL}
     found["manager"].add("robotkube/manager-again")
     found["gate"] = {"robotkube-gate/gate"}
+    found["probe"] = {"robotkube-probe/probe"}
     found["gate-key"] = {name for name in everybody if name.startswith("robotkube/gate-key-")}
     for name in ("repo-server", "application-controller", "applicationset-controller", "redis"):
         found[name] = {f"argocd/argocd-{name}"}
@@ -151,7 +153,12 @@ def difference(found: set[Reach], wanted: set[Reach]) -> dict[str, list[Reach]]:
 
 OPTIONAL = ("remover", "console")  # where they are installed
 NOTHING: dict[str, list[Reach]] = {"allowed, not in the table": [], "denied, in the table": []}
-FREE = ("kube-system/", "monitoring/", "default/")  # namespaces that are not ours: nobody denies anything there
+FREE = (
+    "kube-system/",
+    "monitoring/",
+    "default/",
+    "robotkube-probe/",
+)  # namespaces that are not ours: nobody denies anything there
 
 
 def not_ours(reach: Reach) -> bool:
@@ -309,7 +316,7 @@ def test_what_stands_elsewhere_is_reached_at_its_port_alone(helm: Any) -> None:
 
 def test_every_part_of_the_chart_may_be_given_further_rules() -> None:
     table = yaml.safe_load((PLATFORM / "files" / "network.yaml").read_text(encoding="utf-8"))
-    parties = [name for name, party in table["parties"].items() if party["namespaces"] != "argocd"]
+    parties = [name for name, party in table["parties"].items() if party["namespaces"] not in ("argocd", "probe")]
     schema = json.loads((PLATFORM / "values.schema.json").read_text(encoding="utf-8"))
     values = schema["properties"]["networkPolicies"]["properties"]
     for key in ("extraIngress", "extraEgress"):

@@ -30,6 +30,7 @@ WORKLOADS = {
     "forge": "StatefulSet/forge",
     "bootstrap": "Job/bootstrap",
     "teardown": "Job/teardown",
+    "installationTest": "Job/installation-test",
 }
 KEY_JOB = "Job/gate-key"  # its name goes on with a hash, its pod has the gate's values
 EVERYBODY = {*WORKLOADS.values(), KEY_JOB}

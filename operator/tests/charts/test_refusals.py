@@ -48,6 +48,10 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
         {"inspection": {"enabled": False}, "remover": {"enabled": True}},
         "remover.enabled is true, but inspection.enabled is false: nobody names what is to be removed. Set inspection.",
     ),
+    "a test in the name of who records nothing": (
+        {"agents": [{**CLOUD, "records": True}, VEHICLE], "installationTest": {"agent": "vehicle-00"}},
+        'installationTest.agent "vehicle-00": no agent of this name records. Name one with records: true, or leave it',
+    ),
     "name that is no label": (
         {"agents": [CLOUD, {**VEHICLE, "name": "Vehicle_1"}]},
         'agents[1] "Vehicle_1": the name becomes a namespace and a ROS name. Use lower case letters',

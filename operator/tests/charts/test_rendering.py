@@ -83,7 +83,7 @@ def made_keys(platform: Any) -> int:
 
 
 def test_every_pod_of_the_platform_runs_restricted(platform: Any) -> None:
-    assert len(platform.pods) == 11 + len(OPTIONAL & set(dict(platform.pods))) + made_keys(platform)
+    assert len(platform.pods) == 12 + len(OPTIONAL & set(dict(platform.pods))) + made_keys(platform)
     assert {name: found for name, pod in platform.pods if (found := restricted_problems(pod))} == {}
 
 
@@ -211,7 +211,7 @@ def test_the_gate_has_no_right_and_no_token(platform: Any) -> None:
     ]
     optional = {name.partition("/")[2] for name in OPTIONAL & set(dict(platform.pods))}
     job = {"gate-key"} if made_keys(platform) else set()
-    own = {"manager", "bootstrap", "teardown", "suite-runner", "inspector", "certificates"}
+    own = {"manager", "bootstrap", "teardown", "installation-test", "suite-runner", "inspector", "certificates"}
     assert {name for name, _ in subjects} == own | optional | job
     pod = dict(platform.pods)["Deployment/gate"]
     assert pod["automountServiceAccountToken"] is False

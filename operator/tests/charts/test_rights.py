@@ -156,6 +156,7 @@ EXACTLY: dict[str, dict[str, Rights]] = {
     },
     "robotkube:bootstrap": {"argocd": SET_UP},
     "robotkube:teardown": {"argocd": TEARING_DOWN},
+    "robotkube:installation-test": {"cloud-0": {TASKS: "create delete get"}},
     "robotkube-suite-0:application": {"robotkube-suite-0": SETTINGS},
     "robotkube-suite-0:event-detector": {"robotkube-suite-0": SETTINGS},
     "robotkube-suite-0:default": {},

@@ -34,6 +34,8 @@ PLATFORM = (
     "robotkube.registry.suites.__main__",
     "robotkube.setup.teardown",
     "robotkube.setup.gate_key",
+    "robotkube.setup.installation_test",
+    "robotkube.delivery.preflight.probe",
 )
 ROBOT = (
     "robotkube.robots.bridge.__main__",

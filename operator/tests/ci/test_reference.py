@@ -98,7 +98,7 @@ def test_what_every_component_takes_stands_once() -> None:
     assert found.count("| `podLabels` |") == 1
     assert "gate.podLabels" not in found
     parts = ("managers[]", "gate", "suites", "broker", "certificates", "rights", "database", "forge")
-    parts += ("admission", "inspection", "remover", "console", "bootstrap", "teardown")
+    parts += ("admission", "inspection", "remover", "console", "bootstrap", "installationTest", "teardown")
     assert f"Each of {', '.join(f'`{part}`' for part in parts)} takes" in " ".join(found.split())
     assert "| `managers[].replicas` | `1` |" in found
 

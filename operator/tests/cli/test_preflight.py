@@ -16,6 +16,7 @@ from robotkube.cli.main import EXIT_REFUSED, EXIT_UNREACHABLE, EXIT_USAGE, main
 from robotkube.delivery.preflight import facts
 from robotkube.delivery.preflight.core.checks import CHECKS
 from robotkube.delivery.preflight.core.findings import FAILED, NOT_CHECKED, OK, ClusterFinding, Problem
+from robotkube.delivery.preflight.core.probing.checks import PROBE_CHECKS
 from tests.stages.kubernetes.served_objects import FORBIDDEN, serving
 from tests.stages.paths import CHARTS, REPOSITORY
 
@@ -132,4 +133,4 @@ def test_what_people_read() -> None:
 def test_every_check_is_in_the_reference() -> None:
     table = PAGE.read_text(encoding="utf-8").partition("## Checks")[2].splitlines()
     rows = [line.split("|")[1].strip(" `") for line in table if line.startswith("| `")]
-    assert rows == [check.name for check in CHECKS]
+    assert rows == [check.name for check in (*CHECKS, *PROBE_CHECKS)]

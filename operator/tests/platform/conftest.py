@@ -28,6 +28,7 @@ ORDER = (
     "suites/test_trying",
     "cluster/test_story",
     "cluster/test_bridges",
+    "cluster/test_installation",
     "cluster/test_monitoring",
     "cluster/test_admission",
     "cluster/test_inspection",

@@ -12,7 +12,8 @@ KEY = f"-----BEGIN PRIVATE KEY-----\n{KEY_BODY}\n-----END PRIVATE KEY-----\n"
 PUBLIC_BODY = "MCowBQYDK2VwAyEAA6EHv/POEL4dcN0Y50vAmWfk1jCbpQ1fHdyGZBJVMbg="
 PUBLIC = f"-----BEGIN PUBLIC KEY-----\n{PUBLIC_BODY}\n-----END PUBLIC KEY-----\n"
 GATE = "robotkube-gate"
-JOBS = ("bootstrap", "teardown", "gate-key")
+JOBS = ("bootstrap", "teardown", "installation-test", "gate-key")
+MADE = {"gate-public-key": {"gate-a050837d85070582.pem": PUBLIC}, "robotkube-ca": {"ca.crt": ""}}  # by processes
 KEY_SECRETS = ("gate-key", "kept-gate-key")  # made by the Job, given by a person
 
 
@@ -41,11 +42,11 @@ def mounted(rendered: Any, process: str, folder: Path) -> Path:
 
 
 def _files(rendered: Any, source: Mapping[str, Any], namespace: str | None) -> Iterator[tuple[str, str]]:
-    """The files of a projected volume's source; the made key and its public half come from the Job."""
+    """The files of a projected volume's source; what processes make is not in the rendering."""
     if "configMap" in source:
         name = source["configMap"]["name"]
-        made = {"gate-a050837d85070582.pem": PUBLIC}
-        yield from (made if name == "gate-public-key" else rendered.one("ConfigMap", name, namespace)["data"]).items()
+        data = MADE[name] if name in MADE else rendered.one("ConfigMap", name, namespace)["data"]
+        yield from data.items()
         return
     name = source["secret"]["name"]
     data = {"key.pem": KEY} if name in KEY_SECRETS else rendered.one("Secret", name, namespace)["stringData"]

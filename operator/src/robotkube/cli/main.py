@@ -177,7 +177,7 @@ COMMANDS = (
     Command(
         "preflight",
         "",
-        "whether a cluster can take the platform's chart, or go on with it; everything is read, nothing changed",
+        "whether a cluster can take the platform's chart, or go on with it; without --probe nothing is changed",
         "cluster.preflight",
         "check_cluster",
         "asking",

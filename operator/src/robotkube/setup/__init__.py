@@ -1,1 +1,1 @@
-"""Setting a platform up after its installation, and taking it down before it is uninstalled."""
+"""Setting a platform up after its installation, trying it, and taking it down before it is uninstalled."""

@@ -1,11 +1,11 @@
-"""The ports of bootstrap and teardown to forge, database and Argo CD: every `make_*`, `patch_*`, `set_*` reads first
-and says whether it changed anything.
+"""The ports of what sets a platform up, tries it and takes it down, to forge, database, cluster and Argo CD: every
+`make_*`, `patch_*`, `set_*` reads first and says whether it changed anything.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 
 class ForgeAdministration(Protocol):
@@ -125,4 +125,37 @@ class GateKeyObjects(Protocol):
 
     def keep(self, private_key: str) -> bool:
         """Make the Secret; False when somebody else has made it meanwhile."""
+        ...
+
+
+class AskedTask(Protocol):
+    """The one task of an installation test. UnavailableError when the API server does not answer, InputError when it
+    refuses."""
+
+    def ask(self) -> None:
+        """Make it."""
+        ...
+
+    def read(self) -> Mapping[str, Any] | None:
+        """It as it is now; None when it is gone."""
+        ...
+
+    def withdraw(self) -> None:
+        """Delete it; nothing when it is gone."""
+        ...
+
+
+class RecordedEvents(Protocol):
+    """What the database has of one recording; UnavailableError when it does not answer."""
+
+    def answers(self) -> None:
+        """Return when it serves and knows the account."""
+        ...
+
+    def messages(self) -> bool:
+        """Whether a message of the recording is stored."""
+        ...
+
+    def ended(self) -> bool:
+        """Whether the recording has its end."""
         ...

@@ -1,6 +1,7 @@
 """The command `robotkube preflight`: whether a cluster can take the platform's chart, before or after it is installed.
 
-It reads and changes nothing. Ends with 1 when a check failed, 3 when the API server was not reached, 4 when a check
+It reads and changes nothing; with --probe, pods try out on each Node what cannot be read, in a namespace of their own
+that goes with them. Ends with 1 when a check failed, 3 when the API server was not reached, 4 when a check
 could not look.
 """
 
@@ -8,16 +9,29 @@ from __future__ import annotations
 
 import argparse
 import functools
-from collections.abc import Iterator, Sequence
+import secrets
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from robotkube.cli.output import Table
 from robotkube.delivery.preflight.adapters.chart_sources import read_chart, read_values
 from robotkube.delivery.preflight.adapters.cluster_facts import ClusterFacts
+from robotkube.delivery.preflight.adapters.interrupts import interruptible, shielded
+from robotkube.delivery.preflight.adapters.probe_cluster import KubernetesProbeCluster
 from robotkube.delivery.preflight.adapters.registry_answers import RegistryQuestions
-from robotkube.delivery.preflight.core.checks import findings
+from robotkube.delivery.preflight.core.checks import CHECKS, ClusterCheck, findings
 from robotkube.delivery.preflight.core.findings import FAILED, NOT_CHECKED, ClusterFinding, Unread
+from robotkube.delivery.preflight.core.probing.checks import PROBE_CHECKS
+from robotkube.delivery.preflight.core.probing.objects import namespace_of
+from robotkube.delivery.preflight.core.probing.outcomes import Probed, ready_nodes
+from robotkube.delivery.preflight.core.probing.targets import probe_target
 from robotkube.delivery.preflight.facts import Preflight
+from robotkube.delivery.preflight.loops.probing import NODES_MAX, ProbeClock, Probing
+from robotkube.delivery.preflight.ports import ProbeCluster
+from robotkube.errors import RobotKubeError
 from robotkube.foundation.kubernetes.adapters import client
 from robotkube.registry.charts.adapters.helm import find_helm
 
@@ -44,12 +58,19 @@ def asking(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--registry-ca", type=Path, metavar="FILE", help="PEM of a further authority that registries of images have"
     )
+    parser.add_argument(
+        "--probe",
+        action="store_true",
+        help="start pods on each Node as well, in namespace <platform's>-probe, and remove them again: images, disks, "
+        "names, clocks, the broker, NetworkPolicies (at most 60 s)",
+    )
 
 
 def check_cluster(options: argparse.Namespace) -> Table:
     """Run every check."""
+    call = functools.partial(client.call, client.api_client(options.kubeconfig, options.context))
     preflight = Preflight(
-        cluster=ClusterFacts(functools.partial(client.call, client.api_client(options.kubeconfig, options.context))),
+        cluster=ClusterFacts(call),
         registries=RegistryQuestions(options.registry_ca),
         chart=read_chart(options.chart),
         given=read_values(options.values) if options.values else None,
@@ -58,8 +79,36 @@ def check_cluster(options: argparse.Namespace) -> Table:
         helm=find_helm(),
     )
     facts = preflight.facts()
+    checks: Sequence[ClusterCheck] = CHECKS
+    if options.probe:
+        namespace = namespace_of(options.platform_namespace)
+        cluster = KubernetesProbeCluster(call, namespace, secrets.token_hex(8))
+        facts["probed"] = probed(facts, cluster, namespace)
+        checks = (*CHECKS, *PROBE_CHECKS)
     version = facts["version"]
-    return shown(findings(facts), version.why if isinstance(version, Unread) else "")
+    return shown(findings(facts, checks), version.why if isinstance(version, Unread) else "")
+
+
+def probed(facts: Mapping[str, Any], cluster: ProbeCluster, namespace: str) -> Probed | Unread:
+    """What pods found out; why there are none, when a fact that they need was not read, or the API server refuses."""
+    needed = [facts[name] for name in ("version", "nodes", "rendering", "settings", "installed")]
+    unread = [fact.why for fact in needed if isinstance(fact, Unread)]
+    if unread:
+        return Unread(unread[0])
+    _, nodes, rendering, settings, installed = needed
+    target = probe_target(rendering, settings, namespace, installed=installed)
+    chosen, unasked = ready_nodes(nodes, NODES_MAX)
+    print(f"pods start on {len(chosen)} Nodes, in namespace {namespace}, and go again: at most 60 s", file=sys.stderr)
+    probing = Probing(cluster, target, chosen, unasked, ProbeClock(time.monotonic, time.sleep), shielded, _warn)
+    try:
+        with interruptible():
+            return probing.run()
+    except RobotKubeError as error:
+        return Unread(str(error))
+
+
+def _warn(sentence: str) -> None:
+    print(f"warning: {sentence}", file=sys.stderr)
 
 
 def shown(found: Sequence[ClusterFinding], unreachable: str = "") -> Table:

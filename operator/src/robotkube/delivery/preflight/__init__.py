@@ -1,1 +1,1 @@
-"""Preflight: whether a cluster can take the platform's chart, or go on with it; everything is read, nothing changed."""
+"""Preflight: whether a cluster can take the platform's chart, or go on with it, by reading and by a probe."""

@@ -1,0 +1,1 @@
+"""The probe of the preflight: what its pods are, what they say, and what follows from it."""
