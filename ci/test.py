@@ -100,7 +100,7 @@ def run_pytest(group: Group, places: Sequence[str] = (TESTS,), output: Path | No
         report = folder / "results"
         command = [sys.executable, "-m", "pytest", "-c", "operator/pyproject.toml", "-m", group.marker]
         command += ["--durations=10", "-p", "ci.results", "-p", "no:cacheprovider", *spread(group.processes)]
-        command += [*unread(group, places), *places]
+        command += chosen(group, places)
         environment[results.VARIABLE] = str(report)
         code = child_runs.run(command, TOP, group.name, group.seconds_max, environment, output)
         counts = results.read(report, code)
@@ -112,11 +112,19 @@ def run_pytest(group: Group, places: Sequence[str] = (TESTS,), output: Path | No
     return counts
 
 
-def unread(group: Group, places: Sequence[str]) -> list[str]:
-    """Options that leave out the files below some places in which no test of the group can be: reading all of them
-    takes each of its processes half a minute of a core."""
-    files = (file for place in places for file in sorted((TOP / place).rglob("test_*.py")))
-    return [f"--ignore={file}" for file in files if not can_have_tests(group, file)]
+def chosen(group: Group, places: Sequence[str]) -> list[str]:
+    """The files below some places in which a test of the group can be: reading all of them takes each of its processes
+    half a minute of a core, and so do as many options that leave one out. What is asked for by name stays, and so do
+    all places when there is no such file."""
+    files = (file for place in places for file in files_below(place))
+    return [file for file in files if file in places or can_have_tests(group, TOP / file)] or list(places)
+
+
+def files_below(place: str) -> list[str]:
+    """The files of tests below a folder, or what else is named by `place`."""
+    if not (TOP / place).is_dir():
+        return [place]
+    return [str(Path(place, file.relative_to(TOP / place))) for file in sorted((TOP / place).rglob("test_*.py"))]
 
 
 def can_have_tests(group: Group, file: Path) -> bool:
