@@ -20,6 +20,7 @@ from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import chain, combinations
 from pathlib import Path
 
@@ -139,7 +140,12 @@ def can_have_tests(group: Group, file: Path) -> bool:
 
 def chooses(group: Group, marks: Container[str]) -> bool:
     """Whether a test with these marks is of the group."""
-    return Expression.compile(group.marker).evaluate(lambda name, /, **_: name in marks)
+    return _compiled(group.marker).evaluate(lambda name, /, **_: name in marks)
+
+
+@cache
+def _compiled(marker: str) -> Expression:
+    return Expression.compile(marker)
 
 
 def spread(processes: int) -> list[str]:
