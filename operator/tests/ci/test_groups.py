@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -153,6 +154,20 @@ def test_files_are_read_in_the_order_of_places_and_names(monkeypatch: pytest.Mon
     assert groups.chosen(groups.FAST, [groups.TESTS]) == inside
     assert groups.chosen(groups.FAST, [f"{groups.TESTS}/b", f"{groups.TESTS}/a"]) == [*inside[2:], *inside[:2]]
     assert groups.chosen(groups.ON_PLATFORM, [groups.TESTS]) == [groups.TESTS], "never nothing, which would be all"
+
+
+def test_files_whose_tests_share_a_server_are_read_last(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(groups, "TOP", tmp_path)
+    group = next(group for group in groups.GROUPS if group.servers_last)
+    folder = tmp_path / groups.TESTS
+    folder.mkdir(parents=True)
+    for name, asks in (("a", "api_server: ApiServerProcess"), ("b", "tmp_path: Path"), ("c", "api: Api"), ("d", "")):
+        text = f"pytestmark = pytest.mark.processes\ndef test_it({asks}) -> None: ...\n"
+        (folder / f"test_{name}.py").write_text(text)
+    assert [Path(file).stem[-1] for file in groups.chosen(group, [groups.TESTS])] == ["b", "d", "a", "c"]
+    assert [Path(file).stem[-1] for file in groups.chosen(replace(group, servers_last=False), [groups.TESTS])] == [
+        *("a", "b", "c", "d")
+    ]
 
 
 @pytest.mark.parametrize("mark", ["", *MARKS])
