@@ -123,11 +123,10 @@ def kinds_of_clusters(path: Path, name: str, root: Path) -> list[str]:
     """Imports of what only one kind of cluster has, outside of the providers' folder."""
     if name.startswith(f"{PROVIDERS.replace('.', '/')}/") or name in PROVIDERS_ELSEWHERE:
         return []
-    tree = ast.parse(path.read_text(encoding="utf-8"))
     return [
         f"{name}:{one.line}: imports {one.whole}; who uses a cluster does not know its kind: take it from "
         f"{PROVIDERS}.provider, or have {PROVIDERS}.choosing do it"
-        for one in imports(tree, package_of(path, root))
+        for one in imports_in(path.read_text(encoding="utf-8"), package_of(path, root))
         if one.whole.startswith(f"{PROVIDERS}.")
         and not f"{one.whole}.".startswith(tuple(f"{PROVIDERS}.{module}." for module in OF_ALL_PROVIDERS))
     ]
