@@ -4,7 +4,6 @@ and the kinds of clusters are imported where they may be alone.
 
 from __future__ import annotations
 
-import ast
 import sys
 import tomllib
 from collections.abc import Iterator
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ci import cores
-from ci.imports import imports, module_name, package_of
+from ci.imports import imports_in, module_name, package_of
 
 FLOORS = ("foundation", "robots", "registry", "delivery")  # packages of subjects; every other package is a subject
 KINDS = ("core", "ports", "loops", "adapters")
@@ -97,8 +96,8 @@ def adapter_libraries(root: Path) -> set[str]:
 
 
 def packages(root: Path) -> set[str]:
-    folders = {folder for path in modules(root) for folder in path.parents if folder.is_relative_to(root)}
-    return {".".join(folder.relative_to(root.parent).parts) for folder in folders}
+    folders = {path.parent.relative_to(root.parent).parts for path in modules(root)}
+    return {".".join(parts[:length]) for parts in folders for length in range(1, len(parts) + 1)}
 
 
 def forbidden_imports(top: Path) -> list[str]:
@@ -124,17 +123,15 @@ def kinds_of_clusters(path: Path, name: str, root: Path) -> list[str]:
     """Imports of what only one kind of cluster has, outside of the providers' folder."""
     if name.startswith(f"{PROVIDERS.replace('.', '/')}/") or name in PROVIDERS_ELSEWHERE:
         return []
-    tree = ast.parse(path.read_text(encoding="utf-8"))
     return [
         f"{name}:{one.line}: imports {one.whole}; who uses a cluster does not know its kind: take it from "
         f"{PROVIDERS}.provider, or have {PROVIDERS}.choosing do it"
-        for one in imports(tree, package_of(path, root))
+        for one in imports_in(path.read_text(encoding="utf-8"), package_of(path, root))
         if one.whole.startswith(f"{PROVIDERS}.")
         and not f"{one.whole}.".startswith(tuple(f"{PROVIDERS}.{module}." for module in OF_ALL_PROVIDERS))
     ]
 
 
 def _first_parts(path: Path, root: Path) -> Iterator[tuple[int, str]]:
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    for one in imports(tree, package_of(path, root)):
+    for one in imports_in(path.read_text(encoding="utf-8"), package_of(path, root)):
         yield one.line, one.module.partition(".")[0]

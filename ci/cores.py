@@ -75,7 +75,7 @@ def findings(root: Path) -> list[str]:
 def impurities(text: str, package: str) -> Iterator[tuple[int, str]]:
     """Line and problem of everything in the text of a core, in `package`, that is not pure."""
     tree = ast.parse(text)
-    for one in imports(tree, package):
+    for one in imports(ast.walk(tree), package):
         if one.module in PARTS and one.name:
             if one.name not in PARTS[one.module]:
                 yield one.line, f"imports {one.whole}"

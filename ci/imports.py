@@ -5,11 +5,15 @@ a call with a literal name.
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import PurePath
 from typing import NamedTuple
 
 IMPORTERS = ("__import__", "importlib.import_module", "importlib.__import__", "import_module")
+CALLED = ("__import__", "import_module")
+"""What an importer's name ends with: without one of them in it, no call in a text imports."""
+
+BLOCKS = ("body", "orelse", "finalbody", "handlers", "cases")
 
 
 class Import(NamedTuple):
@@ -35,9 +39,24 @@ def package_of(path: PurePath, root: PurePath) -> str:
     return ".".join(path.relative_to(root).parts[:-1])
 
 
-def imports(tree: ast.AST, package: str) -> Iterator[Import]:
-    """Every import of a module that lies in `package`."""
-    for node in ast.walk(tree):
+def imports_in(text: str, package: str) -> Iterator[Import]:
+    """Every import in the text of a module that lies in `package`. Expressions, which are most of a module, are looked
+    through only where one of them may import."""
+    tree = ast.parse(text)
+    return imports(ast.walk(tree) if any(name in text for name in CALLED) else statements(tree), package)
+
+
+def statements(tree: ast.AST) -> Iterator[ast.AST]:
+    """The tree, and every statement in it, with the handlers and cases that statements lie in."""
+    yield tree
+    for block in BLOCKS:
+        for inner in getattr(tree, block, ()):
+            yield from statements(inner)
+
+
+def imports(nodes: Iterable[ast.AST], package: str) -> Iterator[Import]:
+    """Every import among the nodes of a module that lies in `package`."""
+    for node in nodes:
         if isinstance(node, ast.Import):
             yield from (Import(node.lineno, alias.name) for alias in node.names)
         elif isinstance(node, ast.ImportFrom):

@@ -20,6 +20,7 @@ from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import chain, combinations
 from pathlib import Path
 
@@ -36,7 +37,13 @@ FEW_EXAMPLES, ALL_EXAMPLES = 20, 200
 PLATFORM = f"{TESTS}/platform"  # its tests are marked by their folder
 MARK = re.compile(r"\bpytest\.mark\.(processes|toolchain|thorough)\b")
 OF_ALL = re.compile(r"^pytestmark = .*", re.MULTILINE)  # the marks of all tests of a file
+SERVERS = re.compile(
+    r"\b(api_server: |(manager_)?api: Api\b|installation: Installation\b|(administration|forge_process): )"
+)
+"""Fixtures for which a server runs until the session ends."""
+
 FASTEST = "not processes and not toolchain and not platform and not thorough"
+IN_PROCESSES = "(processes or toolchain) and not platform and not thorough"
 
 
 @dataclass(frozen=True)
@@ -46,7 +53,8 @@ class Group:
     `goal_seconds` is what it may take on a quiet machine of two cores; `seconds_max`, and it is ended. `needs` is what
     `preparing.prepare` makes before. Each of the `processes` runs whole files, with servers of its own. `examples` is
     how many a random test tries, unless the environment says it. `beside` names the group beside which it runs, at the
-    lowest priority, when both are run.
+    lowest priority, when both are run. With `servers_last`, files whose tests share a server come after all others: a
+    server that only waits takes a tenth of a core.
     """
 
     name: str
@@ -56,6 +64,7 @@ class Group:
     processes: int = 1
     examples: int = ALL_EXAMPLES
     beside: str = ""
+    servers_last: bool = False
 
     @property
     def seconds_max(self) -> int:
@@ -67,7 +76,7 @@ FAST = Group("fast", FASTEST, 90, "tests", 2, FEW_EXAMPLES, beside=ON_PLATFORM.n
 GROUPS = (
     Group("check", "", 60, "nothing", beside=ON_PLATFORM.name),
     FAST,
-    Group("processes", "(processes or toolchain) and not platform and not thorough", 320, "toolchain", 3),
+    Group("processes", IN_PROCESSES, 320, "toolchain", 3, servers_last=True),
     ON_PLATFORM,
 )
 THOROUGH = (
@@ -100,7 +109,7 @@ def run_pytest(group: Group, places: Sequence[str] = (TESTS,), output: Path | No
         report = folder / "results"
         command = [sys.executable, "-m", "pytest", "-c", "operator/pyproject.toml", "-m", group.marker]
         command += ["--durations=10", "-p", "ci.results", "-p", "no:cacheprovider", *spread(group.processes)]
-        command += [*unread(group, places), *places]
+        command += chosen(group, places)
         environment[results.VARIABLE] = str(report)
         code = child_runs.run(command, TOP, group.name, group.seconds_max, environment, output)
         counts = results.read(report, code)
@@ -112,11 +121,26 @@ def run_pytest(group: Group, places: Sequence[str] = (TESTS,), output: Path | No
     return counts
 
 
-def unread(group: Group, places: Sequence[str]) -> list[str]:
-    """Options that leave out the files below some places in which no test of the group can be: reading all of them
-    takes each of its processes half a minute of a core."""
-    files = (file for place in places for file in sorted((TOP / place).rglob("test_*.py")))
-    return [f"--ignore={file}" for file in files if not can_have_tests(group, file)]
+def chosen(group: Group, places: Sequence[str]) -> list[str]:
+    """The files below some places in which a test of the group can be: reading all of them takes each of its processes
+    half a minute of a core, and so do as many options that leave one out. What is asked for by name stays, and so do
+    all places when there is no such file."""
+    files = (file for place in places for file in files_below(place))
+    read = [file for file in files if file in places or can_have_tests(group, TOP / file)] or list(places)
+    return sorted(read, key=shares_servers) if group.servers_last else read
+
+
+def shares_servers(place: str) -> bool:
+    """Whether tests of a file ask for a server that runs until the session ends."""
+    file = TOP / place.partition("::")[0]
+    return file.is_file() and SERVERS.search(file.read_text("utf-8")) is not None
+
+
+def files_below(place: str) -> list[str]:
+    """The files of tests below a folder, or what else is named by `place`."""
+    if not (TOP / place).is_dir():
+        return [place]
+    return [str(Path(place, file.relative_to(TOP / place))) for file in sorted((TOP / place).rglob("test_*.py"))]
 
 
 def can_have_tests(group: Group, file: Path) -> bool:
@@ -131,7 +155,12 @@ def can_have_tests(group: Group, file: Path) -> bool:
 
 def chooses(group: Group, marks: Container[str]) -> bool:
     """Whether a test with these marks is of the group."""
-    return Expression.compile(group.marker).evaluate(lambda name, /, **_: name in marks)
+    return _compiled(group.marker).evaluate(lambda name, /, **_: name in marks)
+
+
+@cache
+def _compiled(marker: str) -> Expression:
+    return Expression.compile(marker)
 
 
 def spread(processes: int) -> list[str]:

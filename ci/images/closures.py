@@ -11,7 +11,6 @@ import ast
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import PurePosixPath
-from typing import Any
 
 from ci.imports import imports, module_name, package_of
 
@@ -49,19 +48,24 @@ def _needs(module: str, path: PurePosixPath, content: bytes, modules: Mapping[st
 @lru_cache(MODULES_READ_MAX)
 def _names_in(path: PurePosixPath, content: bytes) -> frozenset[str]:
     """Everything in a module that may name another one."""
-    tree = _Running().visit(ast.parse(content, str(path)))
-    named = {name for one in imports(tree, package_of(path, TOP)) for name in (one.module, one.whole)}
-    texts = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+    nodes = list(_running(ast.parse(content, str(path))))
+    named = {name for one in imports(nodes, package_of(path, TOP)) for name in (one.module, one.whole)}
+    texts = {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
     return frozenset(named | texts)
 
 
-class _Running(ast.NodeTransformer):
-    """Takes away what is only there for type checkers."""
+def _running(tree: ast.AST) -> Iterator[ast.AST]:
+    """The tree and all that is in it, but for what is only there for type checkers."""
+    waiting = [tree]
+    while waiting:
+        node = waiting.pop()
+        yield node
+        waiting += node.orelse if isinstance(node, ast.If) and _is_checked(node.test) else ast.iter_child_nodes(node)
 
-    def visit_If(self, node: ast.If) -> Any:
-        self.generic_visit(node)
-        checked = node.test.attr if isinstance(node.test, ast.Attribute) else getattr(node.test, "id", "")
-        return node.orelse if checked == "TYPE_CHECKING" else node
+
+def _is_checked(test: ast.expr) -> bool:
+    """Whether a condition holds for type checkers alone."""
+    return (test.attr if isinstance(test, ast.Attribute) else getattr(test, "id", "")) == "TYPE_CHECKING"
 
 
 def _data(sources: Mapping[str, bytes], modules: Mapping[str, str], needed: set[str]) -> Iterator[str]:

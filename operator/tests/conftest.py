@@ -1,6 +1,7 @@
 """For all tests: fixtures that stages share; each random test has the same examples every time, without a time limit
 of their own; tests of the fast tier start no other program; long parameters do not stand in the names of tests."""
 
+import gc
 import logging
 from collections.abc import Iterator
 
@@ -19,6 +20,14 @@ pytest_plugins = (
 )
 
 NAME_CHARACTERS_MAX = 80
+
+gc.disable()  # until all tests are collected: what is made meanwhile stays
+
+
+def pytest_collection_finish() -> None:
+    """Set aside what collecting has made: the garbage collector would go through it again and again."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(autouse=True)

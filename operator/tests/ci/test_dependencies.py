@@ -2,7 +2,6 @@
 by everything else in any of them. A package that comes only because another one asks for it may go with that other one.
 """
 
-import ast
 import re
 import sys
 import tomllib
@@ -13,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from ci.imports import imports, module_name, package_of
+from ci.imports import imports_in, module_name, package_of
 from robotkube.cli.main import COMMANDS
 
 TOP = Path(__file__).resolve().parents[3]
@@ -62,7 +61,7 @@ BUILD_STAGE = frozenset(  # of message packages: registry/images/skeletons/messa
 def imported(source: str, package: str = "") -> Iterator[str]:
     """Every module that a text of Python in `package` imports, anywhere in it; of `from a import b` both `a` and `a.b`.
     Relative ones have their whole name, and a literal name in a call of `import_module` or `__import__` counts."""
-    for one in imports(ast.parse(source), package):
+    for one in imports_in(source, package):
         yield from (one.module, one.whole)
 
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -97,6 +98,15 @@ def one_test(top: Path, marks: Sequence[str], written: str) -> Path:
     return folder / "test_it.py"
 
 
+def with_tests() -> list[groups.Group]:
+    return [group for group in (*groups.GROUPS, *groups.THOROUGH) if group.marker]
+
+
+def reads(group: groups.Group) -> bool:
+    """Whether the group reads the one file of tests that there is."""
+    return groups.chosen(group, [groups.TESTS]) != [groups.TESTS]
+
+
 @pytest.mark.parametrize("written", WRITTEN, ids=["one", "list", "test"])
 @pytest.mark.parametrize("marks", [c for n in range(5) for c in itertools.combinations(MARKS, n)], ids=" and ".join)
 def test_a_file_is_read_by_the_group_of_its_test(
@@ -109,10 +119,9 @@ def test_a_file_is_read_by_the_group_of_its_test(
         for group in (*groups.GROUPS, *groups.THOROUGH)
         if group.marker and groups.chooses(group, {*marks, "random"})
     }
-    unread = {group.name for group in (*groups.GROUPS, *groups.THOROUGH) if groups.unread(group, [groups.TESTS])}
     assert chosen, "a test of any marks is in a group"
-    assert not chosen & unread
-    assert "platform" in unread or "platform" in marks
+    assert chosen <= {group.name for group in with_tests() if reads(group)}
+    assert not reads(groups.ON_PLATFORM) or "platform" in marks
 
 
 @pytest.mark.parametrize(
@@ -130,9 +139,35 @@ def test_what_cannot_have_a_test_of_the_group_is_not_read(
 ) -> None:
     file = one_test(tmp_path, marks, WRITTEN[0])
     monkeypatch.setattr(groups, "TOP", tmp_path)
-    every = [group for group in (*groups.GROUPS, *groups.THOROUGH) if group.marker]
-    assert {group.name for group in every if not groups.unread(group, [groups.TESTS])} == read_by
-    assert groups.unread(groups.FAST, [str(file)]) == [], "what is asked for by name is read"
+    assert {group.name for group in with_tests() if reads(group)} == read_by
+    for place in (str(file), f"{file}::test_it"):
+        assert groups.chosen(groups.FAST, [place]) == [place], "what is asked for by name is read"
+
+
+def test_files_are_read_in_the_order_of_places_and_names(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(groups, "TOP", tmp_path)
+    names = ["b/test_1.py", "a/test_2.py", "a/test_1.py", "a/stage.py"]
+    for name in names:
+        (tmp_path / groups.TESTS / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / groups.TESTS / name).write_text("")
+    inside = [f"{groups.TESTS}/{name}" for name in ("a/test_1.py", "a/test_2.py", "b/test_1.py")]
+    assert groups.chosen(groups.FAST, [groups.TESTS]) == inside
+    assert groups.chosen(groups.FAST, [f"{groups.TESTS}/b", f"{groups.TESTS}/a"]) == [*inside[2:], *inside[:2]]
+    assert groups.chosen(groups.ON_PLATFORM, [groups.TESTS]) == [groups.TESTS], "never nothing, which would be all"
+
+
+def test_files_whose_tests_share_a_server_are_read_last(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(groups, "TOP", tmp_path)
+    group = next(group for group in groups.GROUPS if group.servers_last)
+    folder = tmp_path / groups.TESTS
+    folder.mkdir(parents=True)
+    for name, asks in (("a", "api_server: ApiServerProcess"), ("b", "tmp_path: Path"), ("c", "api: Api"), ("d", "")):
+        text = f"pytestmark = pytest.mark.processes\ndef test_it({asks}) -> None: ...\n"
+        (folder / f"test_{name}.py").write_text(text)
+    assert [Path(file).stem[-1] for file in groups.chosen(group, [groups.TESTS])] == ["b", "d", "a", "c"]
+    assert [Path(file).stem[-1] for file in groups.chosen(replace(group, servers_last=False), [groups.TESTS])] == [
+        *("a", "b", "c", "d")
+    ]
 
 
 @pytest.mark.parametrize("mark", ["", *MARKS])

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tarfile
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -36,13 +37,24 @@ from robotkube.registry.images.adapters.buildah import BuildError
 from tests.stages.paths import CHARTS, REGISTRY
 
 COMMANDS = entry_points()
-EVERYTHING = read_sources()
-NEEDED = {service.name: modules_of(service, EVERYTHING, COMMANDS) for service in SERVICES}
 MANAGER = "robotkube/delivery/manager/__main__.py"  # no service imports it
-SOURCES = {path: EVERYTHING[path] for path in sorted({MANAGER, *frozenset().union(*NEEDED.values())})}
 NAMES = [service.name for service in SERVICES]
 STARTED = (("run", "m:f"),)
 BELOW = ({"etc/debian_version": b"12\n"}, {f"{LIBRARY}/rclpy/__init__.py": b"ROS\n"})
+
+
+@cache
+def needed() -> Mapping[str, frozenset[str]]:
+    """Service -> the modules that its image has."""
+    everything = read_sources()
+    return {service.name: modules_of(service, everything, COMMANDS) for service in SERVICES}
+
+
+@cache
+def sources() -> Mapping[str, bytes]:
+    """What any service's image has, and one module that none has."""
+    everything = read_sources()
+    return {path: everything[path] for path in sorted({MANAGER, *frozenset().union(*needed().values())})}
 
 
 def layer(files: Mapping[str, bytes]) -> bytes:
@@ -55,12 +67,12 @@ def layer(files: Mapping[str, bytes]) -> bytes:
     return raw.getvalue()
 
 
-def ground_of(folder: Path, sources: Mapping[str, bytes]) -> cutting.Ground:
+def ground_of(folder: Path, files: Mapping[str, bytes]) -> cutting.Ground:
     """An archive like that of `ros`, with few bytes below the package."""
     folder.mkdir()
     commands = {f"{PREFIX}/bin/{name}": f"start {module}\n".encode() for name, module in COMMANDS.items()}
-    package = {f"{LIBRARY}/{path}": content for path, content in sources.items()}
-    package |= {cached(path): b"code of " + text for path, text in sources.items() if path.endswith(".py")}
+    package = {f"{LIBRARY}/{path}": content for path, content in files.items()}
+    package |= {cached(path): b"code of " + text for path, text in files.items() if path.endswith(".py")}
 
     def put(data: bytes) -> dict[str, Any]:
         digest = hashlib.sha256(data).hexdigest()
@@ -80,28 +92,28 @@ def cached(path: str) -> str:
     return f"{LIBRARY}/{parent}/__pycache__/{name.removesuffix('.py')}.cpython-311.pyc"
 
 
-def cut(folder: Path, service: Service, ground: cutting.Ground, sources: Mapping[str, bytes]) -> tuple[Path, Any]:
-    files = modules_of(service, sources, COMMANDS)
+def cut(folder: Path, service: Service, ground: cutting.Ground, package: Mapping[str, bytes]) -> tuple[Path, Any]:
+    files = modules_of(service, package, COMMANDS)
     archive = folder / service.name / "image.tar"
     started, name = starts(service, COMMANDS), f"{REPOSITORY}/{service.name}"
     return archive, cutting.write_cut(service, ground, started, files, archive, name)
 
 
-def cut_all(folder: Path, sources: Mapping[str, bytes]) -> dict[str, str]:
+def cut_all(folder: Path, files: Mapping[str, bytes]) -> dict[str, str]:
     """The digest of each service's image."""
-    ground = ground_of(folder, sources)
-    return {service.name: cut(folder, service, ground, sources)[1].digest for service in SERVICES}
+    ground = ground_of(folder, files)
+    return {service.name: cut(folder, service, ground, files)[1].digest for service in SERVICES}
 
 
 @pytest.fixture(scope="module")
 def before(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    return cut_all(tmp_path_factory.mktemp("images") / "before", SOURCES)
+    return cut_all(tmp_path_factory.mktemp("images") / "before", sources())
 
 
 def of_one(name: str) -> list[str]:
     """Modules that one service alone imports."""
-    others = frozenset().union(*(files for other, files in NEEDED.items() if other != name))
-    return sorted(NEEDED[name] - others)
+    others = frozenset().union(*(files for other, files in needed().items() if other != name))
+    return sorted(needed()[name] - others)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -109,7 +121,7 @@ def test_a_change_in_one_service_changes_the_digest_of_its_image_alone(
     name: str, before: dict[str, str], tmp_path: Path
 ) -> None:
     path = of_one(name)[-1]
-    after = cut_all(tmp_path / "after", {**SOURCES, path: SOURCES[path] + b"\n"})
+    after = cut_all(tmp_path / "after", {**sources(), path: sources()[path] + b"\n"})
     assert [one for one in NAMES if after[one] != before[one]] == [name]
 
 
@@ -117,8 +129,8 @@ def test_what_no_service_imports_changes_no_digest_and_what_all_import_changes_a
     before: dict[str, str], tmp_path: Path
 ) -> None:
     shared = "robotkube/foundation/runtime/process.py"
-    assert cut_all(tmp_path / "none", {**SOURCES, MANAGER: b""}) == before
-    after = cut_all(tmp_path / "all", {**SOURCES, shared: SOURCES[shared] + b"\n"})
+    assert cut_all(tmp_path / "none", {**sources(), MANAGER: b""}) == before
+    after = cut_all(tmp_path / "all", {**sources(), shared: sources()[shared] + b"\n"})
     assert [name for name in NAMES if after[name] == before[name]] == []
 
 
@@ -131,9 +143,9 @@ def test_what_makes_each_service_is_its_own() -> None:
 
 
 def test_the_key_follows_what_the_image_is_made_of(tmp_path: Path) -> None:
-    ground = ground_of(tmp_path / "ros", SOURCES)
+    ground = ground_of(tmp_path / "ros", sources())
     service = SERVICES[0]
-    files = {path: SOURCES[path] for path in modules_of(service, SOURCES, COMMANDS)}
+    files = {path: sources()[path] for path in modules_of(service, sources(), COMMANDS)}
     key = cutting.key_of_cut(service, ground, STARTED, files)
     assert cutting.key_of_cut(service, ground, STARTED, dict(reversed(files.items()))) == key
     below = cutting.Ground(ground.archive, {**ground.manifest, "layers": ground.manifest["layers"][1:]}, ground.config)
@@ -148,15 +160,15 @@ def test_the_key_follows_what_the_image_is_made_of(tmp_path: Path) -> None:
 
 
 def test_the_layer_has_the_modules_their_byte_code_and_the_command_and_says_so(tmp_path: Path) -> None:
-    ground = ground_of(tmp_path / "ros", SOURCES)
+    ground = ground_of(tmp_path / "ros", sources())
     service = next(one for one in SERVICES if one.name == "object-tracking")
-    archive, image = cut(tmp_path, service, ground, SOURCES)
+    archive, image = cut(tmp_path, service, ground, sources())
     with tarfile.open(archive) as layout:
         own = layout.extractfile("blobs/" + image.layers[-1].digest.replace(":", "/"))
         with tarfile.open(fileobj=own) as tar:
             entries = {entry.name: entry for entry in tar}
             contents = {n: tar.extractfile(e).read() for n, e in entries.items() if e.isreg()}  # type: ignore[union-attr]
-    modules = modules_of(service, SOURCES, COMMANDS)
+    modules = modules_of(service, sources(), COMMANDS)
     program, folder = f"{PREFIX}/bin/{service.command}", f"{LIBRARY}/robotkube_object_tracking-0.2.0.dist-info"
     written = {f"{folder}/{name}" for name in ("METADATA", "RECORD", "entry_points.txt")}
     code = {cached(path) for path in modules if path.endswith(".py")}
@@ -171,9 +183,9 @@ def test_the_layer_has_the_modules_their_byte_code_and_the_command_and_says_so(t
 
 
 def test_the_configuration_is_that_of_the_ground_with_a_name_and_version_of_its_own(tmp_path: Path) -> None:
-    ground = ground_of(tmp_path / "ros", SOURCES)
+    ground = ground_of(tmp_path / "ros", sources())
     service = next(one for one in SERVICES if one.name == "bag-player")
-    archive, image = cut(tmp_path, service, ground, SOURCES)
+    archive, image = cut(tmp_path, service, ground, sources())
     with tarfile.open(archive) as layout:
         blobs = {name.rpartition("/")[2] for name in layout.getnames() if name.startswith("blobs/")}
         manifest = json.loads(layout.extractfile(f"blobs/{image.digest.replace(':', '/')}").read())  # type: ignore[union-attr]
@@ -189,10 +201,10 @@ def test_the_configuration_is_that_of_the_ground_with_a_name_and_version_of_its_
 
 
 def test_a_ground_of_other_sources_is_refused(tmp_path: Path) -> None:
-    older = {path: content for path, content in SOURCES.items() if not path.endswith("bags/loops/player.py")}
+    older = {path: content for path, content in sources().items() if not path.endswith("bags/loops/player.py")}
     ground = ground_of(tmp_path / "ros", older)
     with pytest.raises(BuildError, match=r"image bag-player: ros has no .*player\.py; build both again: make images"):
-        cut(tmp_path, SERVICES[0], ground, SOURCES)
+        cut(tmp_path, SERVICES[0], ground, sources())
 
 
 def test_every_chart_of_a_service_has_an_image() -> None:
@@ -214,10 +226,10 @@ def test_the_commands_of_a_chart_and_of_its_entry_are_in_its_image(service: Serv
 @pytest.mark.parametrize("service", SERVICES, ids=NAMES)
 def test_a_service_imports_nothing_that_its_image_has_not(service: Service, tmp_path: Path) -> None:
     """All its modules are imported where no other module of the package is."""
-    files = modules_of(service, SOURCES, COMMANDS)
+    files = modules_of(service, sources(), COMMANDS)
     for path in files:
         (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / path).write_bytes(SOURCES[path])
+        (tmp_path / path).write_bytes(sources()[path])
     modules = [
         path.removesuffix(".py").replace("/", ".").removesuffix(".__init__") for path in files if path[-3:] == ".py"
     ]
@@ -235,9 +247,9 @@ def test_a_service_imports_nothing_that_its_image_has_not(service: Service, tmp_
 
 @pytest.mark.processes
 def test_each_image_has_a_bill_of_its_own(tmp_path: Path) -> None:
-    ground = ground_of(tmp_path / "ros", SOURCES)
+    ground = ground_of(tmp_path / "ros", sources())
     for service in SERVICES[:2]:
-        archive, image = cut(tmp_path, service, ground, SOURCES)
+        archive, image = cut(tmp_path, service, ground, sources())
         bill = json.loads(bills.make_bill(archive, service.name, image.digest, ground.archive))
         about = bill["metadata"]["component"]
         assert (about["name"], about["version"]) == (service.name, service.version)

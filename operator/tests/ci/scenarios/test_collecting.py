@@ -65,7 +65,7 @@ def _count(count: Any) -> dict[str, Any]:
 @pytest.fixture
 def going(run: Any, monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """A run that has ended well; recordings and ledgers are those of the healthy run."""
-    done, known = run.judge().inputs, run.known
+    done, known = run.inputs(), run.known
     monkeypatch.setattr(collecting, "stored", lambda *_: (done.recordings, done.stored, done.gaps))
     monkeypatch.setattr(collecting, "ledgers", lambda *_: done.ledgers)
     monkeypatch.setattr(running.evidence, "released", lambda _: known.released)
@@ -254,7 +254,7 @@ def test_a_story_that_breaks_off_is_reported_and_fails(
 
 
 def test_every_measure_names_the_fields_that_it_is_computed_from(run: Any) -> None:
-    inputs = run.judge().inputs
+    inputs = run.inputs()
     met = encounters(run.scenario, inputs)
     known = {one.name for one in fields(RunInputs)}
     assert set(expectations.NEEDS) == set(expectations.MEASURES)

@@ -183,11 +183,11 @@ def test_the_report_of_a_story_with_steps_tells_steps_and_tasks(
 @pytest.fixture
 def overlap(run: Any) -> Any:
     """The healthy run's two encounters as two that overlap in vehicle-01."""
-    met = list(report.encounters(run.scenario, run.judge().inputs))
+    met = list(report.encounters(run.scenario, run.inputs()))
     later = replace(met[1].start, agents=("vehicle-01", "vehicle-02"), time=met[0].start.time + 5 * SECOND)
     scenario = replace(run.scenario, parameters=replace(run.scenario.parameters, lidar_vehicles=3))
     met[1] = replace(met[1], start=later)
-    return run.judge().inputs, [replace(one, scenario=scenario) for one in met]
+    return run.inputs(), [replace(one, scenario=scenario) for one in met]
 
 
 def uplink(*named: str) -> tuple[MainState, ...]:
@@ -220,7 +220,7 @@ def test_an_uplink_that_was_not_kept_is_seen(overlap: Any, named: tuple[str, ...
 
 
 def test_without_an_overlap_nothing_is_shared(run: Any) -> None:
-    inputs = run.judge().inputs
+    inputs = run.inputs()
     met = report.encounters(run.scenario, inputs)
     assert sharing.kept(inputs, met) is None
     assert sharing.demands_max(inputs, met) is None

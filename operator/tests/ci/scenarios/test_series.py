@@ -191,9 +191,9 @@ def test_a_report_of_odd_inputs_can_be_written_and_shown(run: Run, change: Any) 
 
 
 def test_a_vehicle_that_met_itself_or_nobody_loses_nothing(run: Run) -> None:
-    met = encounters(run.scenario, run.judge().inputs)
+    met = encounters(run.scenario, run.inputs())
     alone = [replace(one, start=replace(one.start, agents=(ONE,))) for one in met]
-    made, warnings = series.series(run.scenario, run.judge().inputs, alone)
+    made, warnings = series.series(run.scenario, run.inputs(), alone)
     assert list(made["trajectories"]["agents"]) == [ONE]
     assert warnings == ()
 

@@ -19,9 +19,11 @@ class Ring:
 
 
 @pytest.fixture(autouse=True)
-def _as_before() -> Iterator[None]:
-    yield
+def _nothing_set_aside() -> Iterator[None]:
+    """Until the test ends: what collecting tests has made is set aside for all others."""
     gc.unfreeze()
+    yield
+    gc.freeze()
 
 
 def test_the_first_call_sweeps() -> None:

@@ -64,8 +64,11 @@ def test_what_takes_for_ever_is_refused_and_the_next_is_checked(
     assert problem.startswith(f"spec.values: {TOO_MUCH}")
     assert processor_seconds() - began < PROCESSOR_SECONDS_MAX
     assert schemas.validate(GOOD, {"name": "abc"}) == []
+
+
+def test_of_the_tools_it_is_an_error(schemas: BoundedSchemas) -> None:
     with pytest.raises(InputError, match="simplify patterns"):
-        schemas.tools().validate(schema, value)
+        schemas.tools().validate(SLOW, VALUE)
 
 
 def test_calls_that_are_sent_ahead_are_answered_each_by_itself() -> None:

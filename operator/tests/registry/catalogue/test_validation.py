@@ -112,11 +112,11 @@ def _names(finding: SourceProblem, mistake: Mistake) -> bool:
     return finding.file.endswith(mistake.file) and finding.key == mistake.key and mistake.text in finding.text
 
 
-def test_all_mistakes_come_at_once(folder: Path) -> None:
-    put(RECORDING, "spec.services[0].chart.name", "gone")(folder)
-    put(RECORDING, f"{REACTION}.recording", "{{ nothing }}")(folder)
-    both(put(BRIDGE, "spec.a", 1), put(BRIDGE, "spec.b", 2), write(RELEASE, b"["))(folder)
-    found = [str(f) for f in findings(folder)]
+def test_all_mistakes_come_at_once(few: Path) -> None:
+    put(RECORDING, "spec.services[0].chart.name", "gone")(few)
+    put(RECORDING, f"{REACTION}.recording", "{{ nothing }}")(few)
+    both(put(BRIDGE, "spec.a", 1), put(BRIDGE, "spec.b", 2), write(RELEASE, b"["))(few)
+    found = [str(f) for f in findings(few)]
     for wanted in (
         "chart.name",
         "unknown name 'nothing'",
@@ -130,7 +130,7 @@ def test_all_mistakes_come_at_once(folder: Path) -> None:
 DETECTOR = "registry/charts/event-detector/0.2.2.yaml"
 
 
-def test_a_wrong_key_hides_only_what_depends_on_it(folder: Path) -> None:
+def test_a_wrong_key_hides_only_what_depends_on_it(few: Path) -> None:
     """Mistakes of form, of names, of templates, of types and of the chart, in one document at once."""
     both(
         put(RECORDING, "spec.surprise", 1),
@@ -139,8 +139,8 @@ def test_a_wrong_key_hides_only_what_depends_on_it(folder: Path) -> None:
         put(RECORDING, f"{REACTION}.trace", "{{ tusk.trace }}"),
         put(RECORDING, "spec.services[0].values.detector.typo", 1),
         put(RECORDING, "spec.services[0].chart.requirements", [{"guarantee": "stop-time", "atMost": 0, "unit": "s"}]),
-    )(folder)
-    assert [found.key for found in findings(folder, charts=True)] == [
+    )(few)
+    assert [found.key for found in findings(few, charts=True)] == [
         "spec.surprise",
         "spec.links[0].topics[0].depth",
         "spec.services[0].chart.requirements[0]",
@@ -150,7 +150,7 @@ def test_a_wrong_key_hides_only_what_depends_on_it(folder: Path) -> None:
     ]
 
 
-def test_what_follows_from_a_wrong_key_is_not_said(folder: Path) -> None:
+def test_what_follows_from_a_wrong_key_is_not_said(few: Path) -> None:
     """Neither of a service without a name, nor of parameters that are no schema, nor of a document without a spec."""
     service = "spec.services[0]"
     for changes, keys in (
@@ -161,22 +161,22 @@ def test_what_follows_from_a_wrong_key_is_not_said(folder: Path) -> None:
         ([put(RECORDING, "spec.links[0].forEach", {"vehicle": 3})], ["spec.links[0].forEach.vehicle"]),
         ([put(RECORDING, "spec", GONE)], ["spec"]),
     ):
-        before = (folder / RECORDING).read_text()
-        both(*changes)(folder)
-        assert [found.key for found in findings(folder, charts=True)] == keys
-        (folder / RECORDING).write_text(before)
+        before = (few / RECORDING).read_text()
+        both(*changes)(few)
+        assert [found.key for found in findings(few, charts=True)] == keys
+        (few / RECORDING).write_text(before)
 
 
-def test_a_template_that_is_none_is_named_whatever_its_names_are(folder: Path) -> None:
-    put(RECORDING, "spec.parameters.properties.vehicles.type", "liste")(folder)
-    put(RECORDING, f"{REACTION}.recording", "{{ nothing }}")(folder)
-    assert [found.key for found in findings(folder)] == ["spec.parameters", f"{REACTION}.recording"]
-    put(RECORDING, "spec.parameters", [])(folder)
-    put(RECORDING, f"{REACTION}.recording", "{{ a")(folder)
-    assert [found.key for found in findings(folder)] == ["spec.parameters", f"{REACTION}.recording"]
+def test_a_template_that_is_none_is_named_whatever_its_names_are(few: Path) -> None:
+    put(RECORDING, "spec.parameters.properties.vehicles.type", "liste")(few)
+    put(RECORDING, f"{REACTION}.recording", "{{ nothing }}")(few)
+    assert [found.key for found in findings(few)] == ["spec.parameters", f"{REACTION}.recording"]
+    put(RECORDING, "spec.parameters", [])(few)
+    put(RECORDING, f"{REACTION}.recording", "{{ a")(few)
+    assert [found.key for found in findings(few)] == ["spec.parameters", f"{REACTION}.recording"]
 
 
-def test_a_wrong_key_of_an_entry_hides_neither_its_templates_nor_what_others_ask_of_it(folder: Path) -> None:
+def test_a_wrong_key_of_an_entry_hides_neither_its_templates_nor_what_others_ask_of_it(few: Path) -> None:
     both(
         put(DETECTOR, "spec.interfaces[0].name", GONE),
         put(DETECTOR, "spec.interfaces[0].topic", "{{ topik.name }}"),
@@ -184,8 +184,8 @@ def test_a_wrong_key_of_an_entry_hides_neither_its_templates_nor_what_others_ask
         put(DETECTOR, "spec.replaces", "0.9.9"),
         put(RECORDING, "spec.services[0].values.detector.typo", 1),
         put(RECORDING, "spec.services[0].chart.version", ">=0.9.0"),
-    )(folder)
-    found = [(Path(one.file).name, one.key) for one in findings(folder, charts=True)]
+    )(few)
+    found = [(Path(one.file).name, one.key) for one in findings(few, charts=True)]
     assert found == [
         ("pose-point-cloud-recording.yaml", "spec.services[0].chart.version"),
         ("0.2.2.yaml", "spec.interfaces[0].name"),
@@ -195,21 +195,21 @@ def test_a_wrong_key_of_an_entry_hides_neither_its_templates_nor_what_others_ask
     ]
 
 
-def test_values_are_compared_with_a_chart_whose_entry_cannot_be_read(folder: Path) -> None:
-    (folder / DETECTOR).write_text("a: [")
-    put(RECORDING, "spec.services[0].values.detector.typo", 1)(folder)
-    found = [(Path(one.file).name, one.key) for one in findings(folder, charts=True)]
+def test_values_are_compared_with_a_chart_whose_entry_cannot_be_read(few: Path) -> None:
+    (few / DETECTOR).write_text("a: [")
+    put(RECORDING, "spec.services[0].values.detector.typo", 1)(few)
+    found = [(Path(one.file).name, one.key) for one in findings(few, charts=True)]
     assert found == [
         ("pose-point-cloud-recording.yaml", "spec.services[0].values.detector"),
         ("0.2.2.yaml", "document"),
     ]
 
 
-def test_every_file_of_a_chart_is_read(folder: Path) -> None:
-    chart = folder / "charts" / "event-detector"
+def test_every_file_of_a_chart_is_read(few: Path) -> None:
+    chart = few / "charts" / "event-detector"
     for name, text in (("Chart.yaml", "name: a b\n"), ("values.yaml", "a: ["), ("values.schema.json", "{")):
         (chart / name).write_text(text)
-    found = [(Path(one.file).name, one.text.partition(": ")[0]) for one in findings(folder, charts=True)]
+    found = [(Path(one.file).name, one.text.partition(": ")[0]) for one in findings(few, charts=True)]
     assert found == [
         ("Chart.yaml", "name 'a b' is malformed; write the name of the folder"),
         ("Chart.yaml", "version is missing; write one such as 0.1.0"),
@@ -218,19 +218,19 @@ def test_every_file_of_a_chart_is_read(folder: Path) -> None:
     ]
 
 
-def test_a_pattern_is_tried_with_texts_that_fit_it(folder: Path) -> None:
+def test_a_pattern_is_tried_with_texts_that_fit_it(few: Path) -> None:
     """Where nothing fits, this alone is said, not what the templates say of a parameter that is missing."""
     sensor = "spec.parameters.properties.sensor"
-    both(put(PERCEPTION, f"{sensor}.pattern", "^unit-[0-9]{3}$"), put(PERCEPTION, f"{sensor}.examples", GONE))(folder)
-    assert findings(folder) == []
-    put(PERCEPTION, f"{sensor}.pattern", "^(?=b)a$")(folder)
-    assert [found.key for found in findings(folder)] == [sensor]
+    both(put(PERCEPTION, f"{sensor}.pattern", "^unit-[0-9]{3}$"), put(PERCEPTION, f"{sensor}.examples", GONE))(few)
+    assert findings(few) == []
+    put(PERCEPTION, f"{sensor}.pattern", "^(?=b)a$")(few)
+    assert [found.key for found in findings(few)] == [sensor]
 
 
-def test_a_broken_file_does_not_make_others_dangle(folder: Path) -> None:
-    (folder / BRIDGE).write_text("a: b\n")
-    (folder / "registry" / "applications" / "mqtt-bridge.yaml").write_text("a: b\n")
-    assert {Path(f.file).name for f in findings(folder)} == {"0.2.2.yaml", "mqtt-bridge.yaml"}
+def test_a_broken_file_does_not_make_others_dangle(few: Path) -> None:
+    (few / BRIDGE).write_text("a: b\n")
+    (few / "registry" / "applications" / "mqtt-bridge.yaml").write_text("a: b\n")
+    assert {Path(f.file).name for f in findings(few)} == {"0.2.2.yaml", "mqtt-bridge.yaml"}
 
 
 def test_a_folder_that_is_none(tmp_path: Path) -> None:

@@ -235,7 +235,7 @@ def test_what_is_missing_is_explained_under_random_faults() -> None:
 
 def test_what_is_missing_is_explained_where_messages_go_two_ways() -> None:
     """Small ones overtake large ones while the volume refuses, and large ones are on the disk before small ones."""
-    assert sum(check(seed, MIXED).kills > 0 for seed in range(300)) > 50
+    assert sum(check(seed, MIXED).kills > 0 for seed in range(EXAMPLES)) > EXAMPLES // 6
 
 
 def test_a_kill_hides_no_large_message_that_smaller_ones_have_overtaken() -> None:

@@ -38,7 +38,7 @@ def put(path: str, key: str, value: Any, to: str = "") -> Change:
     """Set (or with GONE remove) the value at a key such as `spec.services[0].release`, perhaps in another file."""
 
     def change(folder: Path) -> None:
-        document = yaml.safe_load((folder / path).read_text())
+        document = yaml.load((folder / path).read_text(), yaml.CSafeLoader)
         *parents, last = key.replace("[", ".").replace("]", "").split(".")
         place: Any = document
         for part in parents:

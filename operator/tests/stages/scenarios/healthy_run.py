@@ -62,15 +62,15 @@ class Run:
     known: inputs.RunInputs
 
     def judge(self) -> report.Report:
-        stored = storage.stored(self.samples, self.index, self.segment)
-        return report.report(
-            self.scenario,
-            replace(
-                self.known,
-                ledgers={topic: storage.ledger(lines) for topic, lines in self.ledgers.items()},
-                recordings=tuple(storage.recording(document) for document in self.recordings),
-                stored=stored,
-            ),
+        return report.report(self.scenario, self.inputs())
+
+    def inputs(self) -> inputs.RunInputs:
+        """What the report is made of."""
+        return replace(
+            self.known,
+            ledgers={topic: storage.ledger(lines) for topic, lines in self.ledgers.items()},
+            recordings=tuple(storage.recording(document) for document in self.recordings),
+            stored=storage.stored(self.samples, self.index, self.segment),
         )
 
     def segment(self, volume: str, path: str) -> Path | None:

@@ -33,9 +33,9 @@ def catalogue_files(state: str = "staged", assurance: str = "none") -> dict[str,
     """The registry as the publisher writes it into the catalogue repository."""
     files = {str(p.relative_to(REGISTRY)): p.read_text() for p in REGISTRY.glob("applications/*.yaml")}
     for index, path in enumerate(sorted(REGISTRY.glob("charts/*/*.yaml"))):
-        document = yaml.safe_load(path.read_text())
+        document = yaml.load(path.read_text(), yaml.CSafeLoader)
         document["status"] = {"state": state, "digest": f"sha256:{index:064x}", "images": []}
-        files[str(path.relative_to(REGISTRY))] = yaml.safe_dump(document)
+        files[str(path.relative_to(REGISTRY))] = yaml.dump(document, Dumper=yaml.CSafeDumper)
     return {**files, "policies/release.yaml": f"assurance: {assurance}\n"}
 
 
