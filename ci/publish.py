@@ -23,7 +23,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -36,9 +36,10 @@ from ci.folders import PROJECT
 from robotkube.cli.registry.source_problems import check_sources
 from robotkube.cli.registry.submit import ACCOUNT, CATALOGUE, ForgeAccess, submit_sources
 from robotkube.errors import RobotKubeError, UnavailableError
+from robotkube.foundation.certificates.adapters.certificate_authorities import certificate_authorities, trust_text
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
+from robotkube.foundation.forge.adapters.relay import by_name
 from robotkube.foundation.forge.ports.pull_requests import PullRequest
-from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
 from robotkube.registry.catalogue.core.catalogue import read_application
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.charts.core.packing import CHART_FILE
@@ -48,6 +49,7 @@ from robotkube.registry.publication.loops.submitting import REFUSED, SubmissionO
 from robotkube.registry.publication.ports import ChartSource, SubmittedSources
 
 NAMESPACE, SERVICE, PORT = "robotkube", "forge", 3000
+AUTHORITIES = "robotkube-ca"
 IMAGE_ACCOUNT = "image-publisher"
 PERSON = "operator-team"
 PULL_ACCOUNT = "nodes"  # that nodes pull images with
@@ -95,7 +97,10 @@ def publish(
 
 def find_accounts(kubeconfig: Path) -> PublishingAccounts:
     """All accounts, of the cluster that `kubeconfig` names: who is its administrator approves what the folders have."""
-    return PublishingAccounts(*(find_forge(kubeconfig, name) for name in (ACCOUNT, IMAGE_ACCOUNT, PERSON)))
+    charts, images, person = (find_forge(kubeconfig, name) for name in (ACCOUNT, IMAGE_ACCOUNT, PERSON))
+    if charts.url.startswith("https:"):  # of these, the first alone speaks Git
+        charts = replace(charts, url=by_name(charts.url))
+    return PublishingAccounts(charts, images, person)
 
 
 def find_forge(kubeconfig: Path, account: str = ACCOUNT) -> ForgeAccess:
@@ -114,7 +119,22 @@ def find_forge(kubeconfig: Path, account: str = ACCOUNT) -> ForgeAccess:
     except (config.ConfigException, HTTPError, OSError) as error:
         raise SetUpError(f"{kubeconfig}: no answer from this cluster: {error}") from error
     password = base64.b64decode(secret.data["password"]).decode()
-    return ForgeAccess(f"http://{service.spec.cluster_ip}:{PORT}", account, password)
+    encrypted = service.spec.ports[0].name == "https"
+    if encrypted:
+        trust_text(authorities(kubeconfig))
+    return ForgeAccess(f"{'https' if encrypted else 'http'}://{service.spec.cluster_ip}:{PORT}", account, password)
+
+
+def authorities(kubeconfig: Path) -> str:
+    """Who signs the certificates of the platform's servers, as PEM."""
+    from kubernetes import client, config
+
+    api = client.CoreV1Api(config.new_client_from_config(str(kubeconfig)))
+    try:
+        found = api.read_namespaced_config_map(AUTHORITIES, NAMESPACE, _request_timeout=10)
+    except client.ApiException as error:
+        raise SetUpError(f"namespace {NAMESPACE}: ConfigMap {AUTHORITIES}: {error.reason}") from error
+    return str((found.data or {}).get("ca.crt", ""))
 
 
 def publish_to(

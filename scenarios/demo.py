@@ -82,7 +82,8 @@ def bring_up(request: Request, steps: Steps) -> Installer:
     with steps.step("platform"):
         installer.platform(prepared.references(), wanted, values=request.values)
         nodes = publish.find_forge(kubeconfig, publish.PULL_ACCOUNT)
-        provider.pull_from(nodes.url, nodes.username, nodes.password)
+        believed = publish.authorities(kubeconfig) if nodes.url.startswith("https://") else ""
+        provider.pull_from(nodes.url, nodes.username, nodes.password, believed)
     with steps.step("catalogue") as step:
         published = publish.publish(kubeconfig, step.progress, request.kept, settled.extra_charts)
         step.note = published.outcome.verdict

@@ -147,9 +147,9 @@ class Embedded:
         jobs = [(image, socket) for image in wanted for socket in sockets]
         _in_parallel(lambda job: images.import_one(job[0], job[1], self.binaries), jobs)
 
-    def pull_from(self, url: str, username: str, password: str) -> None:
+    def pull_from(self, url: str, username: str, password: str, authorities: str = "") -> None:
         """See Provider.pull_from."""
-        pulling.allow(self.folders.hosts, url, username, password)
+        pulling.allow(self.folders.hosts, url, username, password, authorities)
 
     def stop_node(self, name: str) -> None:
         """End a node's machine with everything on it, as a loss of power would; it stays registered."""

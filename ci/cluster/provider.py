@@ -108,8 +108,9 @@ class Provider(NodesProvider, Protocol):
     def import_images(self, images: Sequence[Image]) -> None:
         """Make images known to every node under their digest references."""
 
-    def pull_from(self, url: str, username: str, password: str) -> None:
-        """Let every node pull images of the platform's OCI registry, which is reached at `url`, with this account."""
+    def pull_from(self, url: str, username: str, password: str, authorities: str = "") -> None:
+        """Let every node pull images of the platform's OCI registry, which is reached at `url`, with this account;
+        `authorities`: who may have signed its certificate (PEM)."""
 
     def volume_path(self, namespace: str, volume_claim: str) -> Path:
         """The host's folder behind a bound volume claim."""

@@ -11,13 +11,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from kubernetes import client, config
 from kubernetes.client.exceptions import ApiException
 from kubernetes.stream import stream
 
 from robotkube.foundation.certificates.adapters.account_files import REQUIRED, SERVER_NAME, TLS
+from robotkube.foundation.certificates.adapters.certificate_authorities import trust_text
 from robotkube.foundation.database.adapters.connection import DatabaseLogin, login_at
+from robotkube.foundation.forge.adapters.relay import by_name
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount, read_broker_account
 from scenarios.runner.waiting import RunError
 
@@ -26,16 +29,23 @@ ANSWER_SECONDS_MAX = 10
 CONFIGMAP = "simulation"
 AUTHORITIES_MAP, DATABASE_ACCOUNT = "robotkube-ca", "database-account"
 HEALTH_PORT = 8081
+HTTPS = "https"  # the name of a Service's port that speaks it
 APPLICATIONS = ("argoproj.io", "v1alpha1", ARGOCD, "applications")
 TASKS = ("robotkube.io", "v1alpha1", "taskdescriptions")
 
 
 @dataclass(frozen=True)
 class Endpoint:
-    """Address and port at which a Service answers from this machine."""
+    """Address and port at which a Service answers from this machine; `encrypted`: by TLS."""
 
     host: str
     port: int
+    encrypted: bool = False
+
+    @property
+    def url(self) -> str:
+        """Its URL, where it speaks HTTP."""
+        return f"{HTTPS if self.encrypted else 'http'}://{self.host}:{self.port}"
 
 
 class Access:
@@ -71,7 +81,18 @@ class Access:
     def endpoint(self, name: str, namespace: str = PLATFORM) -> Endpoint:
         """ClusterIP and first port of a Service."""
         service = self._call(self.core.read_namespaced_service, f"service {namespace}/{name}", name, namespace)
-        return Endpoint(service.spec.cluster_ip, service.spec.ports[0].port)
+        port = service.spec.ports[0]
+        return Endpoint(service.spec.cluster_ip, port.port, port.name == HTTPS)
+
+    def forge(self) -> Endpoint:
+        """The platform's forge as this process reaches it; where it speaks TLS, its certificate is believed from then
+        on if the platform's authority signed it."""
+        endpoint = self.endpoint("forge")
+        if not endpoint.encrypted:
+            return endpoint
+        trust_text(self.configmap(PLATFORM, AUTHORITIES_MAP)["ca.crt"])
+        reached = urlsplit(by_name(endpoint.url))
+        return Endpoint(reached.hostname or "", reached.port or 0, encrypted=True)
 
     def broker_account(self, secret: str, folder: Path) -> BrokerAccount:
         """An account of the platform at the broker, and how that proves who it is; by files in `folder`, as a pod has

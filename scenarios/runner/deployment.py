@@ -18,7 +18,8 @@ import httpx
 import pygit2
 import yaml
 
-from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
+from robotkube.foundation.certificates.adapters.certificate_authorities import certificate_authorities, what_failed
+from robotkube.foundation.forge.adapters.git.connection import read_authorities
 from scenarios.runner.access import Endpoint
 from scenarios.runner.inputs import NANOSECONDS, Commit, MainState, PullRequest
 from scenarios.runner.waiting import RunError
@@ -58,13 +59,14 @@ class Deployment:
         self._user = username
         self._approver = approver
         self._name = name
-        self._url = f"http://{forge.host}:{forge.port}"
+        self._url = forge.url
         self._client = httpx.Client(
             base_url=f"{self._url}/api/v1/repos/{name}",
             auth=(username, password),
             verify=certificate_authorities(),
             timeout=ANSWER_SECONDS_MAX,
         )
+        read_authorities()
         self._callbacks = _Account(username, password)
         self._folder = tempfile.TemporaryDirectory(prefix="deployment-")
         self._repository = pygit2.init_repository(self._folder.name, bare=True)
@@ -187,7 +189,7 @@ class Deployment:
         try:
             answer = self._client.request(method, path, **options)
         except httpx.HTTPError as error:
-            raise RunError(f"forge {self._url}: {method} {path}: {error or type(error).__name__}") from error
+            raise RunError(f"forge {self._url}: {method} {path}: {what_failed(error, self._url)}") from error
         if answer.is_error:
             raise RunError(
                 f"forge {self._url}: {method} {path} as {self._user}: {answer.status_code} {answer.text[:300]}"

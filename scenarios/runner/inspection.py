@@ -10,6 +10,8 @@ from scenarios.definition import Scenario
 from scenarios.runner.access import Endpoint
 
 PASSWORD = "$(kubectl -n robotkube get secret forge-account-{person} -o jsonpath={{.data.password}} | base64 -d)"  # noqa: S105
+AUTHORITY = "robotkube-ca.crt"
+READING_AUTHORITY = r"kubectl -n robotkube get configmap robotkube-ca -o jsonpath='{.data.ca\.crt}'"
 WEB_PAGES = (
     "The web pages of the forge and of Argo CD need front ends that are not built here yet; their APIs and the "
     "commands above show the same."
@@ -30,7 +32,9 @@ def kubectl_folder() -> Path | None:
 def commands(scenario: Scenario, kubeconfig: Path, forge: Endpoint) -> Iterator[tuple[str, str]]:
     """Pairs of what a command shows and the command; each ends by itself."""
     person, agent = scenario.story.person, scenario.story.recording_agent
-    clone = f"http://{person}:{PASSWORD.format(person=person)}@{forge.host}:{forge.port}/robotkube/deployment.git"
+    scheme, _, place = forge.url.partition("//")
+    clone = f"{scheme}//{person}:{PASSWORD.format(person=person)}@{place}/robotkube/deployment.git"
+    believing = f"-c http.sslCAInfo={AUTHORITY} " if forge.encrypted else ""
     programs = kubectl_folder()
     path = f' PATH="{programs}:$PATH"' if programs else ""
     yield "use this cluster (in the project's folder)", f"export KUBECONFIG={kubeconfig}{path}"
@@ -46,7 +50,9 @@ def commands(scenario: Scenario, kubeconfig: Path, forge: Endpoint) -> Iterator[
             "what the recorder's account may do",
             f"kubectl auth can-i --list -n {agent} --as system:serviceaccount:{agent}:event-detector",
         )
-    yield "the deployment repository", f'git clone "{clone}" deployment'
+    if forge.encrypted:
+        yield "who signed the forge's certificate", f"{READING_AUTHORITY} > {AUTHORITY}"
+    yield "the deployment repository", f'git {believing}clone "{clone}" deployment'
     yield "every change with its cause", "git -C deployment log --format='%h %an %s%n%(trailers)'"
 
 

@@ -139,7 +139,7 @@ def _run(
 ) -> int:
     access = Access(provider.kubeconfig())
     _check_nodes(scenario, provider)
-    forge, story = access.endpoint("forge"), scenario.story
+    forge, story = access.forge(), scenario.story
     account_of_person, approver = access.forge_account(story.person), access.forge_account(story.approver)
     with (
         Deployment(forge, *account_of_person, approver=approver) as deployment,

@@ -61,6 +61,9 @@ sign_in:
   {{- with $console.signIn.scopes }}
   scopes: {{ toJson . }}
   {{- end }}
+  {{- if include "robotkube.encrypted" . }}
+  authorities: /etc/robotkube/authorities/ca.crt
+  {{- end }}
 {{- else }}
 anybody_reads: {{ $console.anybodyReads }}
 {{- end }}

@@ -42,8 +42,13 @@ WORK_PATH = /data
 [server]
 HTTP_ADDR = 0.0.0.0
 HTTP_PORT = 3000
+{{- if include "robotkube.forgeEncrypted" . }}
+PROTOCOL = https
+CERT_FILE = /etc/forge-tls/tls.crt
+KEY_FILE = /etc/forge-tls/tls.key
+{{- end }}
 ROOT_URL = {{ include "robotkube.forgeUrl" . }}/
-LOCAL_ROOT_URL = http://127.0.0.1:3000/
+LOCAL_ROOT_URL = {{ include "robotkube.forgeEncrypted" . | eq "true" | ternary "https" "http" }}://127.0.0.1:3000/
 {{- with .Values.forge.staticRootPath }}
 STATIC_ROOT_PATH = {{ . }}
 {{- end }}

@@ -69,7 +69,7 @@ app.kubernetes.io/instance: {{ .root.Release.Name }}
 {{- if eq .Values.forge.kind "external" -}}
 {{ .Values.forge.external.url }}
 {{- else -}}
-http://{{ include "robotkube.forgeHost" . }}
+{{ include "robotkube.forgeEncrypted" . | eq "true" | ternary "https" "http" }}://{{ include "robotkube.forgeHost" . }}
 {{- end -}}
 {{- end }}
 
@@ -81,6 +81,9 @@ kind: {{ .Values.forge.external.protocol }}
 {{- with .Values.forge.external.api }}
 api: {{ . }}
 {{- end }}
+{{- end }}
+{{- with include "robotkube.forgeAuthorities" . }}
+{{ . }}
 {{- end }}
 {{- end }}
 

@@ -94,6 +94,9 @@ wait_seconds: {{ .Values.bootstrap.waitSeconds | int }}
 {{- if eq .Values.forge.kind "gitea" }}
 forge:
   url: {{ include "robotkube.forgeUrl" . }}
+  {{- with include "robotkube.forgeAuthorities" . }}
+  {{ . }}
+  {{- end }}
   administrator: /var/run/secrets/robotkube/forge/administrator
   accounts:
   {{- range splitList " " (include "robotkube.forgeAccounts" .) }}
@@ -169,6 +172,9 @@ listen: {address: 0.0.0.0, port: 8080, health_port: 8081}
 log_level: {{ .Values.logLevel }}
 forge:
   url: {{ include "robotkube.forgeUrl" . }}
+  {{- with include "robotkube.forgeAuthorities" . }}
+  {{ . }}
+  {{- end }}
   credentials: /var/run/secrets/robotkube/forge
 oci_registry:
   {{- range list "staging" "verified" }}

@@ -1,7 +1,7 @@
-{{- /* TLS: who makes the certificates of broker and database, and how everybody else knows them. */ -}}
+{{- /* TLS: who makes the certificates of broker, database and forge, and how everybody else knows them. */ -}}
 {{- /* The values of tls, also when an upgrade reuses values from before there were any. YAML. */ -}}
 {{- define "robotkube.tls" -}}
-{{- $tls := dict "mode" "made" "plain" false "hours" 2160 "names" list "authorities" "" "provided" (dict "secret" "" "database" "") }}
+{{- $tls := dict "mode" "made" "plain" false "hours" 2160 "names" list "authorities" "" "provided" (dict "secret" "" "database" "" "forge" "") }}
 {{- $_ := set $tls "issuer" (dict "name" "" "kind" "Issuer" "group" "cert-manager.io") }}
 {{- range $key, $value := .Values.tls | default dict }}
 {{- if kindIs "map" $value }}{{ $value = merge (deepCopy $value) (get $tls $key) }}{{ end }}
@@ -36,6 +36,11 @@
 {{- if and (ne .Values.database.kind "external") (or $tls.plain (eq $tls.mode "off")) }}true{{ end -}}
 {{- end }}
 
+{{- /* "true" when the forge that is installed here speaks TLS, else empty. */ -}}
+{{- define "robotkube.forgeEncrypted" -}}
+{{- if and (eq .Values.forge.kind "gitea") (eq (toString .Values.forge.tls) "true") }}{{ include "robotkube.encrypted" . }}{{ end -}}
+{{- end }}
+
 {{- /* "true" when certificates are made here, by the process `certificates`, else empty. */ -}}
 {{- define "robotkube.certificatesMade" -}}
 {{- if and (eq .Values.broker.kind "mosquitto") (eq (include "robotkube.tls" . | fromYaml).mode "made") }}true{{ end -}}
@@ -53,12 +58,21 @@
 {{ eq $tls.mode "provided" | ternary $tls.provided.database "database-tls" }}
 {{- end }}
 
-{{- /* What has a certificate of its own here, as {component: names}: those of its Service, and for the broker those by which clients
-       elsewhere reach it. JSON. */ -}}
+{{- /* The Secret with the forge's certificate and key. */ -}}
+{{- define "robotkube.forgeCertificate" -}}
+{{- $tls := include "robotkube.tls" . | fromYaml -}}
+{{ eq $tls.mode "provided" | ternary $tls.provided.forge "forge-tls" }}
+{{- end }}
+
+{{- /* What has a certificate of its own here, as {component: names}: those of its Service, and for broker and forge those by which
+       clients elsewhere reach them; for the forge also those of its own pod, at which its hooks and whoever forwards a port ask. JSON. */ -}}
 {{- define "robotkube.certified" -}}
 {{- $certified := dict "broker" (concat (include "robotkube.serviceNames" (dict "root" . "name" "broker") | fromJsonArray) (include "robotkube.tls" . | fromYaml).names | uniq) }}
 {{- if ne .Values.database.kind "external" }}
 {{- $_ := set $certified "database" (include "robotkube.serviceNames" (dict "root" . "name" "database") | fromJsonArray) }}
+{{- end }}
+{{- if include "robotkube.forgeEncrypted" . }}
+{{- $_ := set $certified "forge" (concat (include "robotkube.serviceNames" (dict "root" . "name" "forge") | fromJsonArray) (list "localhost" "127.0.0.1") (.Values.forge.names | default list) | uniq) }}
 {{- end }}
 {{- toJson $certified }}
 {{- end }}
@@ -86,7 +100,14 @@ authorities: /etc/robotkube/authorities/ca.crt
 {{- end }}
 {{- end }}
 
-{{- /* Volume and mount of those who may have signed certificates of broker and database: a pod waits until they are known. */ -}}
+{{- /* Who may have signed the forge's certificate, in the settings of a process that asks the forge. */ -}}
+{{- define "robotkube.forgeAuthorities" -}}
+{{- if include "robotkube.forgeEncrypted" . -}}
+authorities: /etc/robotkube/authorities/ca.crt
+{{- end }}
+{{- end }}
+
+{{- /* Volume and mount of those who may have signed certificates of broker, database and forge: a pod waits until they are known. */ -}}
 {{- define "robotkube.authoritiesVolume" -}}
 {{- if include "robotkube.encrypted" . -}}
 - {name: authorities, configMap: {name: robotkube-ca, items: [{key: ca.crt, path: ca.crt}]}}
@@ -99,9 +120,19 @@ authorities: /etc/robotkube/authorities/ca.crt
 {{- end }}
 {{- end }}
 
-{{- /* The namespaces in which somebody connects to the broker. JSON. */ -}}
+{{- /* The same where the forge alone is asked. */ -}}
+{{- define "robotkube.forgeAuthoritiesVolume" -}}
+{{- if include "robotkube.forgeEncrypted" . }}{{ include "robotkube.authoritiesVolume" . }}{{ end }}
+{{- end }}
+
+{{- define "robotkube.forgeAuthoritiesMount" -}}
+{{- if include "robotkube.forgeEncrypted" . }}{{ include "robotkube.authoritiesMount" . }}{{ end }}
+{{- end }}
+
+{{- /* The namespaces in which somebody connects to broker, database or forge. JSON. */ -}}
 {{- define "robotkube.connecting" -}}
 {{- $namespaces := list .Release.Namespace }}
+{{- if include "robotkube.forgeEncrypted" . }}{{ $namespaces = append $namespaces (include "robotkube.gateNamespace" .) }}{{ end }}
 {{- range .Values.agents }}{{ $namespaces = append $namespaces .name }}{{ end -}}
 {{ toJson $namespaces }}
 {{- end }}
@@ -136,6 +167,35 @@ cat {{ $folder }}/tls.crt {{ $folder }}/tls.key > /run/database/tls.pem
 exec docker-entrypoint.sh mongod "$@"
 {{- end }}
 
+{{- /* Runs the forge. It reads certificate and key at its start alone, but on SIGHUP it starts a second process that takes over the open
+       port, and ends when it has answered what it was asked: no request is lost. So this shell stays, and knows the one that serves by
+       its file; when there is none a second time, the forge has ended. */ -}}
+{{- define "robotkube.forgeProgram" -}}
+{{- $run := "/run/forge" -}}
+serving() { kill "-$1" "$(cat {{ $run }}/pid)" 2> /dev/null; }
+rest() { sleep "$1" & wait $! || :; }
+pause=5
+trap 'pause=1; serving TERM' TERM
+read={{ $run }}/certificate-read
+: > "$read"
+gitea --config /etc/gitea/app.ini web --pid {{ $run }}/pid &
+echo $! > {{ $run }}/pid
+missed=0
+while [ $missed -lt 2 ]; do
+  rest $pause
+  if serving 0; then missed=0; else missed=$((missed + 1)); continue; fi
+  if [ /etc/forge-tls/tls.crt -nt "$read" ]; then
+    : > "$read"
+    former=$(cat {{ $run }}/pid) waited=0
+    serving HUP
+    while [ "$(cat {{ $run }}/pid)" = "$former" ] && [ $waited -lt 60 ]; do
+      rest 1
+      waited=$((waited + 1))
+    done
+  fi
+done
+{{- end }}
+
 {{- /* Where and how the database listens, as arguments of its command. FerretDB reads a renewed certificate by itself. JSON. */ -}}
 {{- define "robotkube.databaseListeners" -}}
 {{- $encrypted := include "robotkube.databaseEncrypted" . }}
@@ -168,7 +228,7 @@ namespace: {{ .Release.Namespace }}
 authority: {secret: tls-authority}
 certificates:
 {{- range $component, $names := include "robotkube.certified" . | fromJson }}
-- {secret: {{ $component }}-tls, names: {{ toJson $names }}, life_seconds: {{ mul (int $tls.hours) 3600 }}}
+- {secret: {{ $component }}-tls, names: {{ toJson $names }}, life_seconds: {{ mul (int $tls.hours) 3600 }}{{ if eq $component "forge" }}, service: forge{{ end }}}
 {{- end }}
 trusted: {config_map: robotkube-ca, namespaces: {{ include "robotkube.connecting" . }}}
 {{- end }}
@@ -196,6 +256,15 @@ trusted: {config_map: robotkube-ca, namespaces: {{ include "robotkube.connecting
 {{- end }}
 {{- if and (eq $tls.mode "provided") (ne .Values.database.kind "external") (not $tls.provided.database) }}
 {{ printf "tls.mode is provided, but tls.provided.database is empty. Name the Secret in the platform's namespace that has the database's tls.crt and tls.key, for the name %s; it may be tls.provided.secret, if that certificate is for this name too." (include "robotkube.databaseHost" .) }}
+{{- end }}
+{{- if and (eq $tls.mode "provided") (include "robotkube.forgeEncrypted" .) (not $tls.provided.forge) }}
+{{ printf "tls.mode is provided, but tls.provided.forge is empty. Name the Secret in the platform's namespace that has the forge's tls.crt and tls.key, for the names %s, localhost and 127.0.0.1; or set forge.tls: false, and it speaks HTTP." (regexReplaceAll ":[0-9]+$" (include "robotkube.forgeHost" .) "") }}
+{{- end }}
+{{- if and $tls.provided.forge (or (ne $tls.mode "provided") (not (include "robotkube.forgeEncrypted" .))) }}
+{{ printf "tls.provided.forge is given, but tls.mode is %s, forge.kind %s and forge.tls %v: nobody mounts it. Leave it out, or set tls.mode: provided and forge.tls: true." $tls.mode .Values.forge.kind .Values.forge.tls }}
+{{- end }}
+{{- if and .Values.forge.names (not (include "robotkube.forgeEncrypted" .)) }}
+{{ print "forge.names is given, but the forge has no certificate here: tls.mode is \"off\", forge.tls false or forge.kind external. Leave it out." }}
 {{- end }}
 {{- if and $tls.provided.database (or (ne $tls.mode "provided") (eq .Values.database.kind "external")) }}
 {{ printf "tls.provided.database is given, but tls.mode is %s and database.kind %s: nobody mounts it. Leave it out, or set the mode to provided." $tls.mode .Values.database.kind }}

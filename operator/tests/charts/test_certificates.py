@@ -36,7 +36,7 @@ pytestmark = pytest.mark.toolchain
 PROFILE = Path(__file__).parent / "profiles" / "official.yaml"
 ACCOUNT = "system:serviceaccount:robotkube:certificates"
 AGENTS = ("vehicle-00", "vehicle-01", "cloud-0")
-SERVERS = ("broker", "database")
+SERVERS = ("broker", "database", "forge")
 
 
 @dataclass
@@ -69,7 +69,7 @@ class Installed:
         return {key: base64.b64decode(value).decode() for key, value in self.read("robotkube", "secrets", name).items()}
 
     def trusted(self) -> set[str]:
-        found = [self.read(place, "configmaps", "robotkube-ca") for place in ("robotkube", *AGENTS)]
+        found = [self.read(place, "configmaps", "robotkube-ca") for place in ("robotkube", "robotkube-gate", *AGENTS)]
         return {one.get("ca.crt", "") for one in found}
 
     def empty(self) -> None:

@@ -1,4 +1,5 @@
-"""The forge's rendered app.ini and its preparation, in a real Gitea: read-only settings, accounts, closed doors."""
+"""The forge's rendered app.ini and its preparation, in a real Gitea: read-only settings, accounts, closed doors. By
+TLS: test_forge_certificate.py."""
 
 from __future__ import annotations
 

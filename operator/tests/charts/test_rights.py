@@ -72,6 +72,7 @@ SET_UP = {
     "appprojects.argoproj.io default": "get patch",
     "configmaps argocd-cm": "get patch",
     "configmaps argocd-rbac-cm": "get patch",
+    "configmaps argocd-tls-certs-cm": "get patch",
     "deployments.apps argocd-applicationset-controller": "get patch",
     "deployments.apps argocd-server": "get patch",
     "secrets argocd-secret": "get patch",
@@ -92,7 +93,7 @@ GENERATING = {
 POLICIES = [f"validatingadmission{kind}.admissionregistration.k8s.io" for kind in ("policies", "policybindings")]
 PUBLISHING = {"configmaps": "create", "configmaps gate-public-key": "get patch"}
 TRUSTED = {"configmaps robotkube-ca": "get patch"}
-CERTIFICATES = [f"secrets {name}" for name in ("tls-authority", "broker-tls", "database-tls")]
+CERTIFICATES = [f"secrets {name}" for name in ("tls-authority", "broker-tls", "database-tls", "forge-tls")]
 AGENTS = ("vehicle-00", "vehicle-01", "cloud-0")
 NAMESPACES = ("robotkube", "robotkube-gate", "argocd", "default", *AGENTS, "robotkube-suite-0")
 # account -> namespace -> what it may do there; what it may do everywhere stands under "*"
@@ -140,7 +141,8 @@ EXACTLY: dict[str, dict[str, Rights]] = {
     },
     "robotkube:certificates": {
         **dict.fromkeys(AGENTS, TRUSTED),
-        "robotkube": {**TRUSTED, **dict.fromkeys(CERTIFICATES, "get patch")},
+        "robotkube-gate": TRUSTED,
+        "robotkube": {**TRUSTED, **dict.fromkeys(CERTIFICATES, "get patch"), "services forge": "get"},
     },
     "robotkube:default": {},
     "robotkube:suite-runner": {"*": {"nodes/stats": "get"}, "robotkube-suite-0": ROOM},

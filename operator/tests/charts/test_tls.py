@@ -1,5 +1,5 @@
-"""Who makes the certificates of broker and database: what the chart renders for each `tls.mode`, compared with a kept
-rendering for cert-manager, which does not run here."""
+"""Who makes the certificates of broker, database and forge: what the chart renders for each `tls.mode`, compared with a
+kept rendering for cert-manager, which does not run here."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ pytestmark = pytest.mark.toolchain
 PLATFORM = CHARTS / "robotkube"
 PROFILES = Path(__file__).parent / "profiles"
 OFFICIAL = PROFILES / "official.yaml"
+AUTHORITIES = "/etc/robotkube/authorities"
+ASKING = {"manager", "gate", "rights", "inspector", "suite-runner", "bootstrap"}
 AUTHORITY = "-----BEGIN CERTIFICATE-----\nMIIB\n-----END CERTIFICATE-----\n"
 AGENTS = ("vehicle-00", "vehicle-01", "cloud-0")
 OURS = {"Deployment/certificates", "ConfigMap/certificates", "Role/certificates", "Secret/tls-authority"}
@@ -80,9 +82,42 @@ def database_account(rendered: Any) -> tuple[str, str]:
 
 
 def trusted(rendered: Any) -> set[str]:
-    """What stands in ConfigMap robotkube-ca of the platform and of every agent."""
-    found = [rendered.one("ConfigMap", "robotkube-ca", place) for place in ("robotkube", *AGENTS)]
+    """What stands in ConfigMap robotkube-ca of platform and agents, and of the gate where it asks a forge by TLS."""
+    by_tls = forge_url(rendered).startswith("https:")
+    places = ["robotkube", *(["robotkube-gate"] if by_tls else []), *AGENTS]
+    found = [rendered.one("ConfigMap", "robotkube-ca", place) for place in places]
     return {one.get("data", {}).get("ca.crt", "") for one in found}
+
+
+def forge_url(rendered: Any) -> str:
+    """The forge's URL: the same in the settings of everybody who asks it, each of which names and mounts who may have
+    signed its certificate exactly when it speaks TLS."""
+    found = set()
+    there = {one["metadata"]["name"] for one in rendered.of_kind("ConfigMap")}  # no `rights` at somebody else's broker
+    for process in ASKING & there:
+        namespace = "robotkube-gate" if process == "gate" else None
+        settings = yaml.safe_load(rendered.one("ConfigMap", process, namespace)["data"]["config.yaml"])["forge"]
+        encrypted = settings["url"].startswith("https:")
+        assert settings.get("authorities") == (f"{AUTHORITIES}/ca.crt" if encrypted else None), process
+        kind = "Job" if process == "bootstrap" else "Deployment"
+        mounts = dict(rendered.pods)[f"{kind}/{process}"]["containers"][0]["volumeMounts"]
+        assert not encrypted or AUTHORITIES in {mount["mountPath"] for mount in mounts}, process
+        found.add(settings["url"])
+    [url] = found
+    return str(url)
+
+
+def forge_speaks(rendered: Any) -> tuple[str, str, str]:
+    """Its protocol in its own settings, at its Service and by its probes."""
+    ini = rendered.one("Secret", "forge")["stringData"]["app.ini"]
+    lines = dict(line.split(" = ", 1) for line in ini.splitlines() if " = " in line)
+    own = lines.get("PROTOCOL", "http")
+    assert {lines[key].partition(":")[0] for key in ("ROOT_URL", "LOCAL_ROOT_URL")} == {own}
+    [port] = rendered.one("Service", "forge")["spec"]["ports"]
+    [container] = dict(rendered.pods)["StatefulSet/forge"]["containers"]
+    assert [opened["name"] for opened in container["ports"]] == [port["targetPort"]]
+    [scheme] = {container[probe]["httpGet"].get("scheme", "HTTP") for probe in container if probe.endswith("Probe")}
+    return own, port["name"], scheme
 
 
 def test_by_itself_the_platform_makes_certificates_and_nobody_speaks_in_clear_text(official: Any) -> None:
@@ -91,7 +126,7 @@ def test_by_itself_the_platform_makes_certificates_and_nobody_speaks_in_clear_te
     assert trusted(official) == {""}
     assert "1883" not in official.one("ConfigMap", "broker")["data"]["mosquitto.conf"].replace("8883", "")
     assert "PRIVATE KEY" not in official.text
-    for name in ("tls-authority", "broker-tls", "database-tls"):
+    for name in ("tls-authority", "broker-tls", "database-tls", "forge-tls"):
         assert not {"data", "stringData"} & set(official.one("Secret", name))
 
 
@@ -108,9 +143,11 @@ def test_the_brokers_pod_waits_for_its_certificate_and_has_no_other_key(official
 
 def test_the_process_reads_the_settings_that_the_chart_writes(official: Any, tmp_path: Path) -> None:
     issuance = read_settings(mounted(official, "certificates", tmp_path), read_configuration).issuance
-    assert (issuance.platform, issuance.namespaces) == ("robotkube", ("robotkube", *AGENTS))
+    assert (issuance.platform, issuance.namespaces) == ("robotkube", ("robotkube", "robotkube-gate", *AGENTS))
     host = official.one("Secret", "broker-account", "vehicle-00")["stringData"]["host"]
-    assert [one.secret for one in issuance.certificates] == ["broker-tls", "database-tls"]
+    assert [one.secret for one in issuance.certificates] == ["broker-tls", "database-tls", "forge-tls"]
+    assert [one.service for one in issuance.certificates] == ["", "", "forge"]
+    assert {"forge.robotkube.svc.cluster.local", "localhost", "127.0.0.1"} <= set(issuance.certificates[2].names)
     assert issuance.certificates[0].names[0] == host
     assert (
         issuance.certificates[1].names[0] == official.one("Secret", "database-account", "cloud-0")["stringData"]["host"]
@@ -143,10 +180,18 @@ def test_off_is_clear_text_alone(helm: Any) -> None:
 
 
 def test_a_provided_certificate_is_mounted_and_whoever_signed_it_told(helm: Any) -> None:
-    provided = {"mode": "provided", "provided": {"secret": "mine", "database": "ours"}, "authorities": AUTHORITY}
+    provided = {
+        "mode": "provided",
+        "provided": {"secret": "mine", "database": "ours", "forge": "its"},
+        "authorities": AUTHORITY,
+    }
     rendered = helm.template(PLATFORM, OFFICIAL, tls=provided)
     assert not names(rendered) & {*OURS, "Secret/broker-tls", "Secret/database-tls", "Certificate/broker"}
-    for workload, secret in (("Deployment/broker", "mine"), ("StatefulSet/database", "ours")):
+    for workload, secret in (
+        ("Deployment/broker", "mine"),
+        ("StatefulSet/database", "ours"),
+        ("StatefulSet/forge", "its"),
+    ):
         [volume] = [v for v in dict(rendered.pods)[workload]["volumes"] if v["name"] == "certificate"]
         assert volume["secret"]["secretName"] == secret
     assert (trusted(rendered), ports(rendered)) == ({AUTHORITY}, [8883])
@@ -155,7 +200,7 @@ def test_a_provided_certificate_is_mounted_and_whoever_signed_it_told(helm: Any)
 def test_a_broker_of_somebody_else_is_verified_by_the_authorities_that_are_given(helm: Any) -> None:
     external = {"kind": "external", "external": {"host": "mqtt.example", "port": 8884}}
     database = {"kind": "external", "external": {"host": "mongo.example", "port": 27019, "tls": True}}
-    provided = {"mode": "provided", "authorities": AUTHORITY}
+    provided = {"mode": "provided", "provided": {"forge": "its"}, "authorities": AUTHORITY}
     rendered = helm.template(PLATFORM, OFFICIAL, broker=external, database=database, tls=provided)
     assert accounts(rendered) == {("8884", "required")}
     assert trusted(rendered) == {AUTHORITY}
@@ -212,11 +257,48 @@ def test_off_is_a_database_in_clear_text_as_before(helm: Any, kind: str) -> None
     assert not names(off) & {"Secret/database-tls", "ConfigMap/database"}
 
 
+def test_the_forge_speaks_tls_and_everybody_who_asks_it_verifies_it(official: Any) -> None:
+    assert forge_speaks(official) == ("https", "https", "HTTPS")
+    url = forge_url(official)
+    assert url == "https://forge.robotkube.svc.cluster.local:3000"
+    pod = dict(official.pods)["StatefulSet/forge"]
+    [volume] = [one for one in pod["volumes"] if one["name"] == "certificate"]
+    assert volume["secret"]["secretName"] == "forge-tls"
+    assert [item["key"] for item in volume["secret"]["items"]] == ["tls.crt", "tls.key"]
+    [container] = pod["containers"]
+    assert {"name": "SSL_CERT_DIR", "value": AUTHORITIES} in container["env"]
+    assert {AUTHORITIES, "/etc/forge-tls"} <= {mount["mountPath"] for mount in container["volumeMounts"]}
+
+
+def test_argocd_reads_the_forge_by_tls(official: Any) -> None:
+    charts = official.one("Secret", "robotkube-charts", "argocd")["stringData"]
+    repository = official.one("Secret", "robotkube-deployment", "argocd")["stringData"]
+    assert charts["insecureOCIForceHttp"] == "false"
+    assert repository["url"] == f"{forge_url(official)}/robotkube/deployment.git"
+    sets = official.one("ApplicationSet", "releases", "argocd")["spec"]["generators"]
+    assert sets[0]["git"]["repoURL"] == repository["url"]
+
+
+@pytest.mark.parametrize("values", [{"forge": {"tls": False}}, {"tls": {"mode": "off"}}], ids=["a value", "off"])
+def test_the_forge_speaks_http_where_nothing_else_is_asked_for(helm: Any, values: dict[str, Any]) -> None:
+    plain = helm.template(PLATFORM, OFFICIAL, **values)
+    assert forge_speaks(plain) == ("http", "http", "HTTP")
+    assert forge_url(plain).startswith("http://")
+    assert plain.one("Secret", "robotkube-charts", "argocd")["stringData"]["insecureOCIForceHttp"] == "true"
+    [container] = dict(plain.pods)["StatefulSet/forge"]["containers"]
+    assert container["command"] == ["gitea", "--config", "/etc/gitea/app.ini", "web"]
+    assert not names(plain) & {"Secret/forge-tls"}
+
+
 def test_what_cert_manager_is_asked_for(helm: Any, golden: Callable[[str, str], None]) -> None:
     rendered = helm.template(PLATFORM, OFFICIAL, PROFILES / "cert-manager.yaml")
     assert not names(rendered) & OURS
     asked = {one["metadata"]["name"]: one for one in rendered.of_kind("Certificate")}
-    for name, workload in (("broker", "Deployment/broker"), ("database", "StatefulSet/database")):
+    for name, workload in (
+        ("broker", "Deployment/broker"),
+        ("database", "StatefulSet/database"),
+        ("forge", "StatefulSet/forge"),
+    ):
         [volume] = [v for v in dict(rendered.pods)[workload]["volumes"] if v["name"] == "certificate"]
         assert volume["secret"]["secretName"] == asked[name]["spec"]["secretName"]
     kept = [*asked.values(), rendered.one("ConfigMap", "robotkube-ca", "vehicle-00")]
@@ -227,8 +309,9 @@ def test_what_cert_manager_is_asked_for(helm: Any, golden: Callable[[str, str], 
 def test_an_upgrade_that_reuses_values_of_before_has_certificates_made(helm: Any) -> None:
     values = yaml.safe_load((PLATFORM / "values.yaml").read_text(encoding="utf-8"))
     assert values["tls"]["mode"] == "made"
-    rendered = helm.template(PLATFORM, OFFICIAL, tls=None, certificates=None)
+    rendered = helm.template(PLATFORM, OFFICIAL, tls=None, certificates=None, forge={"tls": None, "names": None})
     assert names(rendered) >= OURS
+    assert forge_speaks(rendered) == ("http", "http", "HTTP")
 
 
 @pytest.mark.parametrize(

@@ -78,3 +78,29 @@ def test_a_problem_names_the_former_key_that_stands_in_the_file(
     with pytest.raises(DocumentError) as refused:
         read_settings(settings_file(tmp_path, **written), read_configuration, FORMER_KEYS)
     assert list(refused.value.problems) == problems
+
+
+FORGE = {"accounts": [], "organisations": [], "repositories": [], "webhooks": []}
+
+
+def forge_file(folder: Path, authorities: Path) -> Path:
+    path = settings_file(folder, hook_readers=["argocd-server"])
+    document = yaml.safe_load(path.read_text())
+    forge = {"url": "https://forge.robotkube.svc:3000", "administrator": str(folder), **FORGE}
+    path.write_text(yaml.safe_dump({**document, "forge": {**forge, "authorities": str(authorities)}}))
+    return path
+
+
+def test_argocd_is_told_who_may_sign_for_the_forge(tmp_path: Path) -> None:
+    (tmp_path / "ca.crt").write_text("PEM")
+    settings = read_settings(forge_file(tmp_path, tmp_path / "ca.crt"), read_configuration, FORMER_KEYS)
+    assert settings.argocd.trusted == {"forge.robotkube.svc": "PEM"}
+    assert settings.forge is not None
+    assert settings.forge.authorities == tmp_path / "ca.crt"
+
+
+def test_authorities_that_are_not_there_are_named(tmp_path: Path) -> None:
+    with pytest.raises(
+        DocumentError, match=r"forge\.authorities: .*none\.crt cannot be read: .*ConfigMap robotkube-ca"
+    ):
+        read_settings(forge_file(tmp_path, tmp_path / "none.crt"), read_configuration, FORMER_KEYS)

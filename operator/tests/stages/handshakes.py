@@ -1,11 +1,15 @@
-"""A TLS server in this process, for one handshake each."""
+"""TLS servers in this process: for one handshake each, and for requests by HTTPS."""
 
 from __future__ import annotations
 
 import socket
 import ssl
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any
 
 from robotkube.foundation.certificates.adapters.verification import ServerVerification, client_context
 from robotkube.foundation.certificates.core.lives import Pair
@@ -56,4 +60,43 @@ def handshake(server: ssl.SSLContext | None, verification: ServerVerification) -
             return str(encrypted.version())
     finally:
         here.close()
+        thread.join(SECONDS_MAX)
+
+
+@contextmanager
+def answering(server: ssl.SSLContext) -> Iterator[str]:
+    """The URL, by the name localhost, of a server that answers every request with `yes`, on a connection for each."""
+
+    class Answers(BaseHTTPRequestHandler):
+        def setup(self) -> None:
+            self.request = server.wrap_socket(self.request, server_side=True)
+            super().setup()
+
+        def finish(self) -> None:
+            super().finish()
+            self.request.close()
+
+        def do_GET(self) -> None:
+            self.send_response(200)
+            self.send_header("Content-Length", "3")
+            self.end_headers()
+            self.wfile.write(b"yes")
+
+        def log_message(self, format: str, *_: Any) -> None:  # noqa: A002
+            pass
+
+    class Quiet(ThreadingHTTPServer):
+        daemon_threads = True
+
+        def handle_error(self, request: Any, client_address: Any) -> None:
+            """Clients that refuse its certificate are what it is for."""
+
+    running = Quiet(("127.0.0.1", 0), Answers)
+    thread = threading.Thread(target=running.serve_forever, kwargs={"poll_interval": 0.02})
+    thread.start()
+    try:
+        yield f"https://localhost:{running.server_address[1]}"
+    finally:
+        running.shutdown()
+        running.server_close()
         thread.join(SECONDS_MAX)

@@ -7,7 +7,7 @@ from functools import partial
 
 import httpx
 
-from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
+from robotkube.foundation.certificates.adapters.certificate_authorities import certificate_authorities
 
 client = partial(httpx.Client, verify=certificate_authorities())
 get = partial(httpx.get, verify=certificate_authorities())

@@ -11,6 +11,7 @@ KEY_BODY = "MC4CAQAwBQYDK2VwBCIEIAABAgMEBQYHCAkKCwwNDg8QERITFBUWFxgZGhscHR4f"
 KEY = f"-----BEGIN PRIVATE KEY-----\n{KEY_BODY}\n-----END PRIVATE KEY-----\n"
 PUBLIC_BODY = "MCowBQYDK2VwAyEAA6EHv/POEL4dcN0Y50vAmWfk1jCbpQ1fHdyGZBJVMbg="
 PUBLIC = f"-----BEGIN PUBLIC KEY-----\n{PUBLIC_BODY}\n-----END PUBLIC KEY-----\n"
+AUTHORITY = "the platform's authority"
 GATE = "robotkube-gate"
 JOBS = ("bootstrap", "teardown", "installation-test", "gate-key")
 MADE = {"gate-public-key": {"gate-a050837d85070582.pem": PUBLIC}, "robotkube-ca": {"ca.crt": ""}}  # by processes
@@ -38,6 +39,8 @@ def mounted(rendered: Any, process: str, folder: Path) -> Path:
     text = rendered.one("ConfigMap", process, namespace)["data"]["config.yaml"]
     text = text.replace("/var/run/secrets/robotkube", str(folder / "secrets"))
     text = text.replace("/etc/robotkube/keys", str(folder / "keys"))
+    write(folder / "authorities" / "ca.crt", AUTHORITY)
+    text = text.replace("/etc/robotkube/authorities", str(folder / "authorities"))
     return write(folder / "config.yaml", text.replace("/etc/robotkube/seed", str(folder / "seed")))
 
 

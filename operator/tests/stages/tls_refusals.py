@@ -6,7 +6,7 @@ from typing import Any
 
 EXTERNAL = {"kind": "external", "external": {"host": "mqtt.example", "port": 8883}}
 AUTHORITY = "-----BEGIN CERTIFICATE-----\nMIIB\n-----END CERTIFICATE-----\n"
-PROVIDED = {"secret": "mine", "database": "mine"}
+PROVIDED = {"secret": "mine", "database": "mine", "forge": "mine"}
 
 TLS_REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
     "certificates made for a broker of somebody else": (
@@ -44,7 +44,7 @@ TLS_REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
         "tls.authorities is given, but tls.mode is made: nobody would trust them. Set the mode to provided or",
     ),
     "a provided certificate without a Secret": (
-        {"tls": {"mode": "provided", "provided": {"database": "mine"}, "authorities": AUTHORITY}},
+        {"tls": {"mode": "provided", "provided": {"database": "mine", "forge": "mine"}, "authorities": AUTHORITY}},
         "tls.mode is provided, but tls.provided.secret is empty. Name the Secret",
     ),
     "a Secret that nobody mounts": (
@@ -52,12 +52,24 @@ TLS_REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
         "tls.provided.secret is given, but tls.mode is made. Set the mode to provided, or leave the Secret out.",
     ),
     "a provided certificate of the broker alone": (
-        {"tls": {"mode": "provided", "provided": {"secret": "mine"}, "authorities": AUTHORITY}},
+        {"tls": {"mode": "provided", "provided": {"secret": "mine", "forge": "mine"}, "authorities": AUTHORITY}},
         "tls.mode is provided, but tls.provided.database is empty. Name the Secret in the platform's namespace that",
     ),
     "a Secret of the database that nobody mounts": (
         {"tls": {"provided": {"database": "mine"}}},
         "tls.provided.database is given, but tls.mode is made and database.kind mongo: nobody mounts it. Leave it out",
+    ),
+    "a provided certificate of all but the forge": (
+        {"tls": {"mode": "provided", "provided": {"secret": "mine", "database": "mine"}, "authorities": AUTHORITY}},
+        "tls.mode is provided, but tls.provided.forge is empty. Name the Secret in the platform's namespace that has",
+    ),
+    "a Secret of the forge that nobody mounts": (
+        {"tls": {"provided": {"forge": "mine"}}},
+        "tls.provided.forge is given, but tls.mode is made, forge.kind gitea and forge.tls true: nobody mounts it.",
+    ),
+    "names of a forge without a certificate": (
+        {"forge": {"tls": False, "names": ["git.example"]}},
+        "forge.names is given, but the forge has no certificate here: tls.mode is",
     ),
     "TLS of somebody else's database that is here": (
         {"database": {"external": {"tls": True}}},

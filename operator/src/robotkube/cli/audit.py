@@ -25,6 +25,7 @@ from robotkube.delivery.audit.adapters.manifests import RegistryManifests, Saved
 from robotkube.delivery.audit.loops.auditor import Auditor, Sources
 from robotkube.delivery.deployment.adapters.ssh_keys import holds
 from robotkube.errors import InputError
+from robotkube.foundation.certificates.adapters.certificate_authorities import trust
 from robotkube.foundation.forge.adapters.git import GitHistory, fetch_history
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
@@ -56,6 +57,7 @@ def auditing(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--html", type=Path, metavar="FILE", help="write a page for people there, too")
     parser.add_argument("--forge-url", metavar="URL", help="the forge (default: that of the kubeconfig's cluster)")
+    parser.add_argument("--forge-ca", type=Path, metavar="FILE", help="who signed its certificate, besides the usual")
     parser.add_argument("--username", default=ACCOUNT, help="account at --forge-url that may read both repositories")
     parser.add_argument("--password-file", type=Path, metavar="FILE", help="file with its password")
 
@@ -140,6 +142,7 @@ def _access(options: argparse.Namespace) -> tuple[str, str, str]:
         password = options.password_file.read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"--password-file {options.password_file}: cannot be read: {error}") from error
+    trust(options.forge_ca)
     return options.forge_url.rstrip("/"), options.username, password
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from robotkube.cli.platform import Platform
 from robotkube.errors import InputError
+from robotkube.foundation.certificates.adapters.certificate_authorities import trust
 
 REPOSITORY = "robotkube/deployment"
 
@@ -24,6 +25,7 @@ class AccountAtForge:
 def reaching(parser: argparse.ArgumentParser) -> None:
     """Add the arguments by which the forge is found."""
     parser.add_argument("--forge-url", metavar="URL", help="the forge (default: that of the kubeconfig's cluster)")
+    parser.add_argument("--forge-ca", type=Path, metavar="FILE", help="who signed its certificate, besides the usual")
     parser.add_argument("--password-file", type=Path, metavar="FILE", help="file with the account's password there")
 
 
@@ -37,4 +39,5 @@ def forge_account(options: argparse.Namespace, name: str) -> AccountAtForge:
         password = options.password_file.read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"--password-file {options.password_file}: cannot be read: {error}") from error
+    trust(options.forge_ca)
     return AccountAtForge(options.forge_url.rstrip("/"), name, password)

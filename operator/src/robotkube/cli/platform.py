@@ -16,14 +16,16 @@ from robotkube.delivery.inspection.core.strangers import PLURAL as INSPECTIONS
 from robotkube.delivery.tasks.adapters.kubernetes_tasks import KubernetesTasks
 from robotkube.delivery.tasks.core.task_description import GROUP, PLURAL, VERSION
 from robotkube.errors import InputError, RefusalError, UnavailableError
+from robotkube.foundation.certificates.adapters.certificate_authorities import trust_text
 from robotkube.foundation.documents.core.json_codec import read_json_shortened
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
+from robotkube.foundation.forge.adapters.relay import by_name
 from robotkube.foundation.kubernetes.adapters import client
 
 OBJECTS_MAX = 5000
 PAGE_OBJECTS = 500
 PAGES_MAX = 200
-FORGE = "forge"
+FORGE, FORGE_TLS = "forge", "https"  # its Service, and the name of the port there that speaks TLS
 EVIDENCE_KEYS = "evidence-keys"
 MADE_KEYS = "robotkube.io/made-keys"  # its annotation with the ConfigMap of keys that were made in the cluster
 IMAGES = "platform-images"
@@ -168,23 +170,28 @@ class Platform:
         return accounts
 
     def authorities(self) -> str:
-        """Who may have signed the certificates of broker and database, as PEM; empty when there is none."""
+        """Who may have signed the certificates of broker, database and forge, as PEM; empty when there is none."""
         return str((self._config_map(AUTHORITIES).get("data") or {}).get("ca.crt", ""))
 
     def address(self, service: str) -> tuple[str, int]:
         """The ClusterIP and the first port of one of the platform's Services."""
+        spec = self._service(service)
+        return str(spec["clusterIP"]), int(spec["ports"][0]["port"])
+
+    def _service(self, service: str) -> Mapping[str, Any]:
         try:
-            spec = self._read("GET", f"/api/v1/namespaces/{self._namespace}/services/{service}")["spec"]
+            found = self._read("GET", f"/api/v1/namespaces/{self._namespace}/services/{service}")
         except KeyError as error:
             raise InputError(
                 f"no Service {service} in namespace {self._namespace}; see --platform-namespace"
             ) from error
-        return str(spec["clusterIP"]), int(spec["ports"][0]["port"])
+        spec: Mapping[str, Any] = found["spec"]
+        return spec
 
     def forge_account(self, account: str) -> tuple[str, str, str]:
-        """The URL of the platform's forge at its Service's address, with username and password of one of its
+        """The URL by which this process reaches the platform's forge, with username and password of one of its
         accounts."""
-        host, port = self.address(FORGE)
+        url = self.forge_url()
         try:
             secret = self._read("GET", f"/api/v1/namespaces/{self._namespace}/secrets/forge-account-{account}")
         except KeyError as error:
@@ -193,7 +200,16 @@ class Platform:
                 "give --forge-url and --password-file"
             ) from error
         values = _texts(secret)
-        return f"http://{host}:{port}", values["username"], values["password"]
+        return (by_name(url) if url.startswith("https:") else url), values["username"], values["password"]
+
+    def forge_url(self) -> str:
+        """The URL of the platform's forge at its Service's address, as browsers reach it. Where that speaks TLS, this
+        process believes its certificate from then on, if the platform's authority signed it."""
+        spec = self._service(FORGE)
+        encrypted = spec["ports"][0].get("name") == FORGE_TLS
+        if encrypted:
+            trust_text(self.authorities())
+        return f"{'https' if encrypted else 'http'}://{spec['clusterIP']}:{spec['ports'][0]['port']}"
 
     def evidence_keys(self) -> Mapping[str, str]:
         """The public keys that this installation trusts, as PEM texts by file name; InputError when it names none."""

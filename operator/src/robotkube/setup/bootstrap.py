@@ -12,13 +12,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from kubernetes import client
 from kubernetes import config as kubernetes_config
 
 from robotkube.errors import InputError
+from robotkube.foundation.certificates.adapters.certificate_authorities import trust
 from robotkube.foundation.certificates.adapters.verification import ServerVerification
-from robotkube.foundation.certificates.settings import read_server_verification
+from robotkube.foundation.certificates.settings import read_authorities, read_server_verification
 from robotkube.foundation.database.adapters.accounts import MongoAccounts
 from robotkube.foundation.documents.core.former_keys import FormerKey
 from robotkube.foundation.documents.core.patterns import HTTP_URL, REPOSITORY, WORD
@@ -54,6 +56,7 @@ class ForgeConfiguration:
     """The forge and who administers it."""
 
     url: str
+    authorities: Path | None
     administrator: files.Credentials
     setup: ForgeSetup
 
@@ -92,7 +95,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> Bootstrap
         forge=_forge(reader, root["forge"]) if root.get("forge") else None,
         database=_database(reader, root["database"]) if root.get("database") else None,
         argocd_namespace=reader.word(argocd.get("namespace"), "argocd.namespace", WORD),
-        argocd=_argocd(reader, argocd),
+        argocd=_argocd(reader, argocd, _trusted(reader, root.get("forge") or {})),
     )
 
 
@@ -103,7 +106,19 @@ def _whole(reader: Reader, value: Any, path: str, largest: int) -> int:
     return value
 
 
-def _argocd(reader: Reader, argocd: Mapping[str, Any]) -> ArgoCDSetup:
+def _trusted(reader: Reader, forge: Mapping[str, Any]) -> Mapping[str, str]:
+    """The forge's name and the PEM of its authorities, where settings name them: what Argo CD has to know."""
+    path = read_authorities(reader, forge, "forge")
+    if path is None:
+        return {}
+    try:
+        return {urlsplit(str(forge.get("url"))).hostname or "": path.read_text(encoding="ascii")}
+    except (OSError, UnicodeDecodeError) as error:
+        reader.problems.append(f"forge.authorities: {path} cannot be read: {error}; it is of ConfigMap robotkube-ca")
+        return {}
+
+
+def _argocd(reader: Reader, argocd: Mapping[str, Any], trusted: Mapping[str, str]) -> ArgoCDSetup:
     account = reader.mapping(argocd.get("account") or {}, "argocd.account", ["name", "credentials"])
     hook = reader.mapping(argocd.get("hook") or {}, "argocd.hook", ["secret"])
     return ArgoCDSetup(
@@ -113,6 +128,7 @@ def _argocd(reader: Reader, argocd: Mapping[str, Any]) -> ArgoCDSetup:
         hook_secret=files.secret(reader, hook.get("secret"), "argocd.hook.secret"),
         closed_project=reader.word(argocd.get("closed_project"), "argocd.closed_project", WORD),
         hook_readers=_hook_readers(reader, argocd),
+        trusted=trusted,
     )
 
 
@@ -153,9 +169,10 @@ def _database_account(reader: Reader, value: Any, path: str) -> DatabaseAccount:
 
 def _forge(reader: Reader, value: Any) -> ForgeConfiguration:
     keys = ["url", "administrator", "accounts", "organisations", "repositories", "webhooks"]
-    values = reader.mapping(value, "forge", keys, ["former_webhooks"])
+    values = reader.mapping(value, "forge", keys, ["former_webhooks", "authorities"])
     return ForgeConfiguration(
         url=reader.word(values.get("url"), "forge.url", HTTP_URL),
+        authorities=read_authorities(reader, values, "forge"),
         administrator=files.credentials(reader, values.get("administrator"), "forge.administrator"),
         setup=ForgeSetup(
             accounts=tuple(_account(reader, *item) for item in _items(reader, values, "forge", "accounts")),
@@ -248,6 +265,7 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
 
     bootstrap = Bootstrap(configuration.wait_seconds, time.monotonic, sleep)
     if configuration.forge:
+        trust(configuration.forge.authorities)
         administrator = configuration.forge.administrator
         forge = GiteaAdministration(configuration.forge.url, administrator.username, administrator.password)
         bootstrap.forge(configuration.forge.setup, forge)

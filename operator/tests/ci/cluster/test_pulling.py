@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -33,6 +34,13 @@ def test_the_file_is_where_containerd_looks_and_only_root_reads_it(tmp_path: Pat
         assert path == tmp_path / "forge.robotkube.svc.cluster.local_3000_" / "hosts.toml"
         assert path.stat().st_mode & 0o777 == 0o600
         assert path.read_text() == hosts_toml("http://10.97.0.9:3000", PULL_ACCOUNT, password)
+
+
+def test_a_registry_that_speaks_tls_is_verified_by_the_authorities_beside_the_file(tmp_path: Path) -> None:
+    path = pulling.allow(tmp_path, "https://10.97.0.9:3000", PULL_ACCOUNT, "first", "PEM")
+    found = tomllib.loads(path.read_text())["host"]["https://10.97.0.9:3000"]
+    assert (path.parent / found["ca"]).read_text() == "PEM"
+    assert found["header"]["Authorization"][0].startswith("Basic ")
 
 
 @pytest.fixture

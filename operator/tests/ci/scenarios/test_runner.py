@@ -403,6 +403,10 @@ def test_the_commands_to_look_around_are_whole(scenario: definition.Scenario) ->
     text = "\n".join(inspection.lines(scenario, Path("kubeconfig"), Endpoint("10.96.0.9", 3000)))
     assert "front ends that are not built here" in text
     assert "{person}" not in text
+    by_tls = dict(inspection.commands(scenario, Path("kubeconfig"), Endpoint("10.96.0.9", 3000, encrypted=True)))
+    [clone] = [command for command in by_tls.values() if "git" in command and "clone" in command]
+    assert all(part in clone for part in ("-c http.sslCAInfo=robotkube-ca.crt", "@10.96.0.9:3000/", '"https://'))
+    assert r"jsonpath='{.data.ca\.crt}' > robotkube-ca.crt" in by_tls["who signed the forge's certificate"]
 
 
 @pytest.mark.parametrize(

@@ -94,3 +94,24 @@ def test_what_is_missing_is_named_with_the_way_back(api: Api, objects: Kubernete
         objects.trusted("vehicle-00")
     with pytest.raises(InputError, match="ConfigMap vehicle-00/robotkube-ca is missing"):
         objects.publish("vehicle-00", "c")
+
+
+@pytest.mark.parametrize(
+    ("spec", "found"),
+    [
+        ({"clusterIP": "10.96.0.9", "clusterIPs": ["10.96.0.9", "fd00::9"]}, ["10.96.0.9", "fd00::9"]),
+        ({"clusterIP": "10.96.0.9"}, ["10.96.0.9"]),
+        ({"clusterIP": "None", "clusterIPs": ["None"]}, []),
+        ({}, []),
+    ],
+)
+def test_the_addresses_of_a_service_are_those_that_it_has(
+    api: Api, objects: KubernetesCertificates, spec: Mapping[str, Any], found: list[str]
+) -> None:
+    api.objects["/api/v1/namespaces/robotkube/services/forge"] = {"spec": spec}
+    assert objects.addresses("forge") == found
+
+
+def test_a_service_that_is_missing_is_named(objects: KubernetesCertificates) -> None:
+    with pytest.raises(InputError, match="Service forge is missing; the chart makes it"):
+        objects.addresses("forge")

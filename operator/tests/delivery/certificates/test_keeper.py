@@ -17,6 +17,7 @@ from robotkube.foundation.certificates.core.lives import Life, Pair
 
 DAY = 86_400.0
 BROKER = ServerCertificate("broker-tls", ("broker",), 90 * DAY)
+FORGE = ServerCertificate("forge-tls", ("forge", "127.0.0.1"), 90 * DAY, service="forge")
 DATABASE = ServerCertificate("database-tls", ("database",), 30 * DAY)
 ISSUANCE = Issuance("robotkube", "tls-authority", "robotkube-ca", ("robotkube", "vehicle-00"), (BROKER,))
 
@@ -29,6 +30,7 @@ class Objects:
         self.shown: dict[str, Pair | None] = {}
         self.maps = {"robotkube": "", "vehicle-00": ""}
         self.away: set[str] = set()
+        self.found: list[str] = []
         self.order: list[str] = []
 
     def authority(self) -> Pair | None:
@@ -46,6 +48,10 @@ class Objects:
     def put_certificate(self, secret: str, certificate: Pair) -> None:
         self._ask("put_certificate")
         self.shown[secret] = certificate
+
+    def addresses(self, service: str) -> list[str]:
+        assert service == FORGE.service
+        return self.found
 
     def trusted(self, namespace: str) -> str:
         self._ask("trusted")
@@ -157,6 +163,17 @@ def test_each_server_has_a_certificate_of_its_own_that_is_renewed_when_it_is_due
     keeper.step()
     stage.objects.away, keeper.problem = set(), ""
     assert keeper.reasons_not_ready() == ["the certificate in Secret database-tls has expired"]
+
+
+def test_a_servers_certificate_follows_the_addresses_of_its_service(stage: Stage) -> None:
+    keeper = stage.another(replace(ISSUANCE, certificates=(FORGE,)))
+    keeper.step()
+    assert keeper.lives["forge-tls"].names == {"forge", "127.0.0.1"}
+    stage.objects.found = ["10.96.0.9", "fd00::9", "127.0.0.1"]
+    for _ in range(2):
+        keeper.step()
+    assert keeper.lives["forge-tls"].names == {"forge", "127.0.0.1", "10.96.0.9", "fd00::9"}
+    assert keeper.issued == 2
 
 
 @pytest.mark.parametrize("shown", [None, Pair("garbage", "key")], ids=["lost", "unreadable"])

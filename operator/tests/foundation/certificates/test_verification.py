@@ -48,7 +48,8 @@ def test_a_certificate_of_the_authority_is_taken_for_each_of_its_names(
 def test_another_name_is_refused(authority: Pair, tmp_path: Path) -> None:
     said = refused(tmp_path, issuing.issue(authority, NAMES, time.time(), 60), authority, "forge.robotkube")
     assert said == (
-        "its certificate is not for the name forge.robotkube; connect by one that it has, or add this one to tls.names"
+        "its certificate is not for the name forge.robotkube; connect by one that it has, or add this one to tls.names "
+        "(of the forge: forge.names)"
     )
 
 

@@ -73,7 +73,7 @@ class Aged:
         return {item["metadata"]["uid"]: item["spec"] for item in items}
 
     def _releases(self) -> dict[str, str]:
-        forge, person = self.platform.access.endpoint("forge"), self.platform.scenario.story.person
+        forge, person = self.platform.access.forge(), self.platform.scenario.story.person
         with Deployment(forge, person, self.platform.password(person)) as deployment:
             deployment.fetch()
             return specification_digests(deployment.releases())

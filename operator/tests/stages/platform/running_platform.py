@@ -118,8 +118,7 @@ class Platform:
 
     def forge_url(self) -> str:
         """Where the forge answers from this machine."""
-        forge = self.access.endpoint("forge")
-        return f"http://{forge.host}:{forge.port}"
+        return self.access.forge().url
 
     def password(self, account: str) -> str:
         """A forge account's password."""

@@ -293,7 +293,7 @@ def on_stage(platform: Platform) -> Iterator[Stage]:
     """A stage that begins with everything as main asks for and nothing on main that is being taken away, and ends with
     main asking for what it did before."""
     eventually("all Applications synced and healthy", platform.settled, SETTLED_SECONDS_MAX)
-    forge, story = platform.access.endpoint("forge"), platform.scenario.story
+    forge, story = platform.access.forge(), platform.scenario.story
     person, approver = (platform.access.forge_account(name) for name in (story.person, story.approver))
     with Deployment(forge, *person, approver=approver) as deployment:
         stage = Stage(platform, deployment)

@@ -14,7 +14,7 @@ from typing import Any
 from urllib.parse import quote
 
 from robotkube.cli.output import Table
-from robotkube.cli.platform import FORGE, Platform
+from robotkube.cli.platform import Platform
 from robotkube.errors import InputError, RefusalError
 from robotkube.foundation.documents.core.patterns import COMMIT_START
 from robotkube.foundation.kubernetes.core.objects import object_key
@@ -132,5 +132,4 @@ def _without_console(platform: Platform, options: argparse.Namespace) -> str:
     if plan["pull_request"] is None:
         raise RefusalError("NoConsole", f"{missing}, and plan {plan['plan']} has no pull request yet")
     print(f"robotkube: {missing}; this is the forge's page of the plan", file=sys.stderr)
-    host, port = platform.address(FORGE)
-    return str(plan.get("url") or f"http://{host}:{port}/{DEPLOYMENT}/pulls/{plan['pull_request']}")
+    return str(plan.get("url") or f"{platform.forge_url()}/{DEPLOYMENT}/pulls/{plan['pull_request']}")

@@ -21,6 +21,7 @@ from robotkube.cli.platform import Platform
 from robotkube.cli.registry.result_lines import ResultLines
 from robotkube.cli.registry.source_problems import check_sources
 from robotkube.errors import InputError, RobotKubeError
+from robotkube.foundation.certificates.adapters.certificate_authorities import trust
 from robotkube.foundation.documents.core.times import second_text
 from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter
 from robotkube.foundation.forge.adapters.hosts.gitea import GiteaForge
@@ -71,6 +72,7 @@ def submitting(parser: argparse.ArgumentParser) -> None:
 def choosing_forge(parser: argparse.ArgumentParser) -> None:
     """Add the arguments that say which forge, and as whom."""
     parser.add_argument("--forge-url", metavar="URL", help="the forge (default: that of the kubeconfig's cluster)")
+    parser.add_argument("--forge-ca", type=Path, metavar="FILE", help="who signed its certificate, besides the usual")
     parser.add_argument("--username", default=ACCOUNT, help="account at --forge-url")
     parser.add_argument("--password-file", type=Path, metavar="FILE", help="file with its password")
 
@@ -173,6 +175,7 @@ def forge_access(options: argparse.Namespace) -> ForgeAccess:
         password = options.password_file.read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"--password-file {options.password_file}: cannot be read: {error}") from error
+    trust(options.forge_ca)
     return ForgeAccess(options.forge_url.rstrip("/"), options.username, password)
 
 

@@ -5,7 +5,7 @@ UnavailableError when the API server does not answer or the fault passes, InputE
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Protocol
 
 from robotkube.foundation.certificates.core.lives import Life, Pair
@@ -28,6 +28,10 @@ class CertificateObjects(Protocol):
 
     def put_certificate(self, secret: str, certificate: Pair) -> None:
         """Replace the certificate and the key in this Secret, both at once."""
+        ...
+
+    def addresses(self, service: str) -> Sequence[str]:
+        """The addresses of a Service of the platform; none while it has none."""
         ...
 
     def trusted(self, namespace: str) -> str:

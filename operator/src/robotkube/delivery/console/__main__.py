@@ -26,6 +26,7 @@ from robotkube.delivery.console.core.poses import PoseSampler
 from robotkube.delivery.console.loops.model import ReadModel
 from robotkube.delivery.console.loops.page_reading import DetectorReader, ManagerReader
 from robotkube.delivery.console.settings import ConsoleConfiguration, read_configuration
+from robotkube.foundation.certificates.adapters.certificate_authorities import trust
 from robotkube.foundation.kubernetes.adapters.client import api_client
 from robotkube.foundation.runtime import settings_file as files
 from robotkube.foundation.runtime.adapters.health_server import HealthServer
@@ -53,6 +54,7 @@ class ConsoleProcess:
         )
         self._poses = _poses(configuration, self.model)
         sign_in = configuration.sign_in
+        trust(configuration.authorities)
         page = read_files(configuration.page)
         encrypted = sign_in is not None and sign_in.encrypted
         around = ConsoleSurroundings(configuration.hosts, encrypted, configuration.links, page)

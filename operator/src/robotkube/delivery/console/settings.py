@@ -11,6 +11,7 @@ from typing import Any
 from robotkube.delivery.console.core.poses import MARK
 from robotkube.delivery.console.core.signing_in import SignIn
 from robotkube.delivery.console.ports import ManagerPages
+from robotkube.foundation.certificates.settings import read_authorities
 from robotkube.foundation.documents.core.patterns import ADDRESSES, AGENTS_MQTT_TOPIC, HOST, HTTP_URL, NAME, WORD
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.runtime import settings_file as files
@@ -33,7 +34,8 @@ class PoseSource:
 @dataclass(frozen=True)
 class ConsoleConfiguration:
     """Everything the process needs, secrets included. Without `sign_in` everybody who reaches it reads; without `poses`
-    the map has none. `hosts`: names by which browsers reach it; `proxies`: whose word counts for who asks."""
+    the map has none. `hosts`: names by which browsers reach it; `proxies`: whose word counts for who asks;
+    `authorities`: a file with those that may have signed the provider's certificate besides the usual ones."""
 
     listen: files.Listen
     log_level: str
@@ -47,6 +49,7 @@ class ConsoleConfiguration:
     page: Path | None
     poses: PoseSource | None
     sign_in: SignIn | None
+    authorities: Path | None = None
 
 
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ConsoleConfiguration:
@@ -71,6 +74,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ConsoleCo
         page=None if page is None else Path(reader.word(page, "page", files.PATH)),
         poses=_poses(reader, root),
         sign_in=_sign_in(reader, root),
+        authorities=read_authorities(reader, root.get("sign_in") or {}, "sign_in"),
     )
 
 
@@ -111,7 +115,8 @@ def _sign_in(reader: Reader, root: Mapping[str, Any]) -> SignIn | None:
             reader.problems.append("sign_in: missing; or say that everybody who reaches it reads: anybody_reads: true")
         return None
     required = ["issuer", "client_id", "url", "groups"]
-    given = reader.mapping(value, "sign_in", required, ["client_secret", "username_claim", "groups_claim", "scopes"])
+    optional = ["client_secret", "username_claim", "groups_claim", "scopes", "authorities"]
+    given = reader.mapping(value, "sign_in", required, optional)
     groups = _words(reader, given.get("groups"), "sign_in.groups", TEXT)
     if not groups:
         reader.problems.append("sign_in.groups: must name one group or more, such as robotkube or robotkube:Owners")

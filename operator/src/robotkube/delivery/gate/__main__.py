@@ -28,6 +28,7 @@ from robotkube.delivery.gate.loops.plan_notes import NoteWriter
 from robotkube.delivery.gate.loops.rules import GateSettings
 from robotkube.delivery.manager.core.placement.scopes import DeclaredManager, Scope, overlaps
 from robotkube.errors import DocumentError, UnavailableError
+from robotkube.foundation.certificates.adapters.certificate_authorities import trust
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.foundation.documents.core.patterns import CHARTS_URL, HTTP_URL, WORD
 from robotkube.foundation.documents.core.reader import Reader
@@ -361,6 +362,7 @@ def _now() -> str:
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     """Serve webhooks, health and metrics; run both loops on threads until the process shall end."""
     configuration = files.start_with_settings(process, read_configuration, environment, FORMER_KEYS)
+    trust(configuration.forge.authorities)
     work = Path(environment.get("ROBOTKUBE_WORK", "/tmp/gate"))  # noqa: S108 - the pod's own volume
     program = environment.get(PROGRAM_VARIABLE, PROGRAM)
     deployment_schemas, renderer = BoundedSchemas(), ChartRenderer(program)

@@ -21,6 +21,7 @@ from robotkube.delivery.inspection.loops.permitted import PermittedReader
 from robotkube.delivery.inspection.loops.release_shapes import ReleaseShapes
 from robotkube.delivery.inspection.loops.reporting import Reporter
 from robotkube.delivery.inspection.settings import InspectorConfiguration, read_configuration
+from robotkube.foundation.certificates.adapters.certificate_authorities import trust
 from robotkube.foundation.kubernetes.adapters.http_client import ACCOUNT_FOLDER, ApiServer
 from robotkube.foundation.kubernetes.adapters.kubelet_client import KubeletClient
 from robotkube.foundation.runtime import settings_file as files
@@ -68,6 +69,7 @@ def build_inspector(
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     """Look, and serve health and metrics, until the process shall end."""
     configuration = files.start_with_settings(process, read_configuration, environment)
+    trust(configuration.forge.address.authorities)
     work = Path(environment.get("ROBOTKUBE_WORK", "/tmp/inspector"))  # noqa: S108 - the pod's own volume
     renderer = ChartRenderer(environment.get(PROGRAM_VARIABLE, PROGRAM))
     api = ApiServer.from_environment(environment)

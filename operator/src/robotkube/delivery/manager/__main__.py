@@ -47,6 +47,7 @@ from robotkube.delivery.tasks.loops.device_holds import DeviceHolds
 from robotkube.delivery.tasks.loops.link_reports import LinkReports
 from robotkube.delivery.tasks.loops.mqtt_gateway import MqttTaskGateway, gateway_metrics
 from robotkube.errors import UnavailableError
+from robotkube.foundation.certificates.adapters.certificate_authorities import trust
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.foundation.documents.core.patterns import CHARTS_URL, HTTP_URL, WORD
 from robotkube.foundation.documents.core.reader import Reader
@@ -249,6 +250,7 @@ class Waker:
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     """Run the manager's steps beside its watches, webhooks and pages until the process shall end."""
     configuration = files.start_with_settings(process, read_configuration, environment, FORMER_KEYS)
+    trust(configuration.forge.address.authorities)
     kubeconfig = environment.get("KUBECONFIG")
     api = api_client(kubeconfig, in_cluster=kubeconfig is None)
     waker = Waker()

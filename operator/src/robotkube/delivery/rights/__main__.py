@@ -17,6 +17,7 @@ from robotkube.delivery.rights.adapters.dynamic_security import DynamicSecurity
 from robotkube.delivery.rights.loops.keeper import Keeper
 from robotkube.delivery.rights.loops.main_follower import MainFollower
 from robotkube.delivery.rights.settings import RightsConfiguration, read_configuration
+from robotkube.foundation.certificates.adapters.certificate_authorities import trust
 from robotkube.foundation.forge.ports.repositories import MainHistory
 from robotkube.foundation.runtime import settings_file as files
 from robotkube.foundation.runtime.adapters.prometheus_series import MetricsPage
@@ -66,6 +67,7 @@ class RightsProcess:
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     """Keep the rights until the process shall end."""
     configuration = files.start_with_settings(process, read_configuration, environment)
+    trust(configuration.forge.address.authorities)
     work = Path(environment.get("ROBOTKUBE_WORK", "/tmp/rights"))  # noqa: S108 - the pod's own volume
     work.mkdir(parents=True, exist_ok=True)
     forge = configuration.forge

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,3 +17,11 @@ def read_server_verification(reader: Reader, value: Any, path: str, host: str) -
     if value is None:
         return None
     return ServerVerification(Path(reader.word(value, path, files.PATH)), host)
+
+
+def read_authorities(reader: Reader, values: Mapping[str, Any], path: str) -> Path | None:
+    """The file of those that may have signed for a server besides the usual ones: the key `authorities` of `values`,
+    which stand at `path`. None without it."""
+    if values.get("authorities") is None:
+        return None
+    return Path(reader.word(values["authorities"], f"{path}.authorities", files.PATH))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from robotkube.foundation.certificates.settings import read_authorities
 from robotkube.foundation.documents.core.entry_reader import read_one_of
 from robotkube.foundation.documents.core.patterns import HTTP_URL, REPOSITORY, WORD
 from robotkube.foundation.documents.core.reader import Reader
@@ -25,11 +26,12 @@ AnyForge = GiteaForge | github.GitHubForge | gitlab.GitLabForge
 @dataclass(frozen=True)
 class ForgeAddress:
     """The address of a forge: `url` is where Git is spoken; `api` where GitHub's or GitLab's API is when it is not
-    their public one."""
+    their public one, `authorities` a file with those that may have signed its certificate besides the usual ones."""
 
     url: str
     kind: str = GITEA
     api: str = ""
+    authorities: Path | None = None
 
     def clone(self, repository: str, account: files.Credentials, folder: Path, branch: str) -> GitClone:
         """A bare clone of `<organisation>/<name>` in `folder`."""
@@ -90,7 +92,7 @@ def read_forge(
     reads."""
     repositories = [*(["catalogue"] if catalogue else []), *(["deployment"] if deployment else [])]
     forge = reader.mapping(
-        value or {}, "forge", ["url", "credentials", "branch", *repositories, *more], ["kind", "api"]
+        value or {}, "forge", ["url", "credentials", "branch", *repositories, *more], ["kind", "api", "authorities"]
     )
     names = {key: reader.word(forge.get(key), f"forge.{key}", REPOSITORY) for key in repositories}
     return ForgeSettings(
@@ -106,4 +108,5 @@ def _address(reader: Reader, forge: Mapping[str, object]) -> ForgeAddress:
         reader.word(forge.get("url"), "forge.url", HTTP_URL),
         read_one_of(reader, forge.get("kind", GITEA), "forge.kind", (GITEA, GITHUB, GITLAB)),
         reader.word(forge.get("api"), "forge.api", HTTP_URL, default=""),
+        read_authorities(reader, forge, "forge"),
     )

@@ -17,6 +17,7 @@ from typing import Any
 
 from kubernetes.client import ApiClient
 
+from robotkube.foundation.certificates.adapters.certificate_authorities import trust
 from robotkube.foundation.documents.core.patterns import CHARTS_URL, WORD
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.forge.connect import ForgeSettings, read_forge
@@ -136,6 +137,7 @@ class AdmissionWriter:
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     """Follow the catalogue until the process shall end."""
     configuration = files.start_with_settings(process, read_configuration, environment)
+    trust(configuration.forge.address.authorities)
     kubeconfig = environment.get("KUBECONFIG")
     api = api_client(kubeconfig, in_cluster=kubeconfig is None)
     work = Path(environment.get("ROBOTKUBE_WORK", "/tmp/admission"))  # noqa: S108 - the pod's own volume

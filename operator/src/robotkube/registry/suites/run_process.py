@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 
 from robotkube.backoffs import backoff
 from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.certificates.adapters.certificate_authorities import trust
 from robotkube.foundation.certificates.adapters.verification import ServerVerification
 from robotkube.foundation.database.adapters.accounts import MongoAccounts
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
@@ -51,6 +52,7 @@ def run_request(payload: bytes, namespace: str) -> bytes:
     """A request as JSON and a test namespace (empty: none) -> the finished progress as JSON."""
     configuration = files.read_settings(files.settings_path(), read_configuration, FORMER_KEYS)
     files.send_logs(Process("suite", 0.0), configuration.log_level)
+    trust(configuration.authorities)
     result = run(configuration, read_request(json.loads(payload)), namespace)
     return canonical_json(progress_document(SuiteProgress("finished", result)))
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from robotkube.foundation.certificates.adapters.issuing import throw_away
+from robotkube.foundation.certificates.settings import read_authorities
 from robotkube.foundation.documents.core.former_keys import FormerKey
 from robotkube.foundation.documents.core.patterns import CHARTS_URL, HTTP_URL, IMAGE, NAME
 from robotkube.foundation.documents.core.reader import Reader
@@ -22,7 +24,7 @@ FORMER_KEYS = (FormerKey("rooms", "test_namespaces"), files.OCI_REGISTRY)
 @dataclass(frozen=True)
 class RunnerConfiguration:
     """Everything the process needs, secrets included; `staging`, `verified`, `images_registry` are oci://
-    URLs."""
+    URLs, `authorities` a file with those that may have signed the forge's certificate besides the usual ones."""
 
     listen: files.Listen
     log_level: str
@@ -35,19 +37,21 @@ class RunnerConfiguration:
     test_namespaces: tuple[SuiteNamespaceSettings, ...]
     observer_image: str
     verify_kubelets: bool = True
+    authorities: Path | None = None
 
 
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> RunnerConfiguration:
     """The settings document of the suite-runner."""
     keys = ["listen", "log_level", "forge", "oci_registry", "token", "test_namespaces", "agent", "images", "database"]
     root = reader.mapping(document, "", [*keys, "platform_namespace"], ["kubelets", "tls"])
-    forge = reader.mapping(root.get("forge") or {}, "forge", ["url", "credentials"])
+    forge = reader.mapping(root.get("forge") or {}, "forge", ["url", "credentials"], ["authorities"])
     oci_registry = reader.mapping(root.get("oci_registry") or {}, "oci_registry", ["staging", "verified", "images"])
     images = reader.mapping(root.get("images") or {}, "images", ["observer", "broker", "database"])
     return RunnerConfiguration(
         listen=files.listen(reader, root.get("listen")),
         log_level=files.log_level(reader, root.get("log_level")),
         forge_url=reader.word(forge.get("url"), "forge.url", HTTP_URL),
+        authorities=read_authorities(reader, forge, "forge"),
         account=files.credentials(reader, forge.get("credentials"), "forge.credentials"),
         staging=reader.word(oci_registry.get("staging"), "oci_registry.staging", CHARTS_URL),
         verified=reader.word(oci_registry.get("verified"), "oci_registry.verified", CHARTS_URL),

@@ -13,7 +13,8 @@ from typing import Any
 import httpx
 
 from robotkube.errors import InputError, UnavailableError
-from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
+from robotkube.foundation.certificates.adapters.certificate_authorities import certificate_authorities, what_failed
+from robotkube.foundation.runtime.adapters.kept_connections import KeptConnections
 
 TIMEOUT_SECONDS = 30.0
 PAGE_ITEMS = 50
@@ -46,7 +47,7 @@ class GiteaAdministration:
     def __init__(self, url: str, username: str, password: str) -> None:
         self._url = url
         self._username = username
-        self._client = httpx.Client(
+        self._client = KeptConnections(
             base_url=f"{url}/api/v1",
             auth=(username, password),
             verify=certificate_authorities(),
@@ -85,7 +86,7 @@ class GiteaAdministration:
                 timeout=TIMEOUT_SECONDS,
             )
         except httpx.HTTPError as error:
-            raise UnavailableError(f"forge {self._url}: {error or type(error).__name__}") from error
+            raise UnavailableError(f"forge {self._url}: {what_failed(error, self._url)}") from error
         return answer.status_code == 200
 
     def make_organisation(self, name: str) -> bool:
@@ -243,7 +244,7 @@ class GiteaAdministration:
         try:
             answer = self._client.request(method, path, json=body)
         except httpx.HTTPError as error:
-            raise UnavailableError(f"{what}: {error or type(error).__name__}") from error
+            raise UnavailableError(f"{what}: {what_failed(error, self._url)}") from error
         if answer.status_code >= 500:
             raise UnavailableError(f"{what}: {answer.status_code} {answer.text[:500]}")
         if answer.is_error:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import random
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 from robotkube.backoffs import Random, backoff
@@ -19,6 +19,7 @@ from robotkube.setup.ports import ArgoCDConfiguration, DatabaseAdministration, F
 RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 1.0, 2.0
 LEVELS = ("read", "write")
 HOOK_SECRET = "webhook.github.secret"  # noqa: S105 - the key; the gate sends hooks as GitHub does
+TRUSTED_SERVERS = "argocd-tls-certs-cm"
 # Argo CD takes the hooks of these forges unsigned while their keys have no value.
 UNUSED_HOOKS = (
     "webhook.gitlab.secret",
@@ -109,7 +110,7 @@ class DatabaseAccount:
 class ArgoCDSetup:
     """Argo CD's side: `account` may log in with `password` and do what `rbac` (policy lines) says; `hook_secret` signs
     push hooks; AppProject `closed_project` allows nothing; Deployments `hook_readers` restart when secrets of hooks
-    change."""
+    change; certificates of the servers in `trusted` hold when the authorities there (PEM) signed them."""
 
     account: str
     password: str
@@ -117,6 +118,7 @@ class ArgoCDSetup:
     hook_secret: str
     closed_project: str
     hook_readers: tuple[str, ...]
+    trusted: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -233,6 +235,8 @@ class Bootstrap:
     def argocd(self, setup: ArgoCDSetup, argocd: ArgoCDConfiguration) -> None:
         """Account, rights, hook secrets, closed project; the restart of the hooks' readers comes last."""
         self._step("Argo CD answers", argocd.answers)
+        if setup.trusted:  # first: a kubelet brings it to the repo-server within about two minutes
+            self._step(TRUSTED_SERVERS, lambda: argocd.patch_config_map(TRUSTED_SERVERS, setup.trusted))
         login = {f"accounts.{setup.account}": "login"}
         self._step("argocd-cm", lambda: argocd.patch_config_map("argocd-cm", login))
         rights = {"policy.robotkube.csv": setup.rbac}

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import base64
 import binascii
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 from urllib.parse import quote
 
@@ -17,6 +17,7 @@ from robotkube.foundation.kubernetes.adapters.http_client import config_map_path
 CERTIFICATE, KEY, AUTHORITY = "tls.crt", "tls.key", "ca.crt"
 MERGE = "application/merge-patch+json"
 CONFLICT, MISSING = 409, 404
+NO_ADDRESS = (None, "", "None")  # the last one: of a headless Service
 
 
 class RequestingApi(Protocol):
@@ -63,6 +64,12 @@ class KubernetesCertificates:
     def put_certificate(self, secret: str, certificate: Pair) -> None:
         """See the port."""
         self._patch(self._secret(secret), f"Secret {secret}", {"stringData": _files(certificate)})
+
+    def addresses(self, service: str) -> Sequence[str]:
+        """See the port."""
+        path = f"/api/v1/namespaces/{quote(self._issuance.platform)}/services/{quote(service)}"
+        spec = self._read(path, f"Service {service}").get("spec") or {}
+        return [address for address in spec.get("clusterIPs") or [spec.get("clusterIP")] if address not in NO_ADDRESS]
 
     def trusted(self, namespace: str) -> str:
         """See the port."""

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ServerCertificate:
-    """The certificate of one server in the Secret `secret`, for `names` and `seconds`."""
+    """The certificate of one server in the Secret `secret`, for `names` and `seconds`; with `service`, also for the
+    addresses that this Service has in the cluster."""
 
     secret: str
     names: tuple[str, ...]
     seconds: float
+    service: str = ""
 
 
 @dataclass(frozen=True)

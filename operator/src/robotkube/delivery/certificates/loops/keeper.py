@@ -81,13 +81,15 @@ class CertificateKeeper:
     def _renewed(self, certificate: ServerCertificate, authority: Pair) -> Life:
         """The life of a server's certificate, renewed where that is due."""
         secret, now = certificate.secret, self._wall()
+        addresses = self._objects.addresses(certificate.service) if certificate.service else ()
+        names = (*certificate.names, *(one for one in addresses if one not in certificate.names))
         present = self._objects.certificate(secret)
         life = self._described(secret, present, authority) if present is not None else None
-        reason = reason_to_replace(life, certificate.names, now)
+        reason = reason_to_replace(life, names, now)
         if not reason:
             assert life is not None
             return life
-        made = self._issuer.issue(authority, certificate.names, now, certificate.seconds)
+        made = self._issuer.issue(authority, names, now, certificate.seconds)
         self._objects.put_certificate(secret, made)
         self.issued += 1
         life = self._issuer.describe(made, authority)

@@ -9,8 +9,8 @@ from typing import Any
 import httpx
 
 from robotkube.errors import UnavailableError
+from robotkube.foundation.certificates.adapters.certificate_authorities import certificate_authorities
 from robotkube.foundation.documents.core.json_codec import read_json
-from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
 
 TIMEOUT_SECONDS = 3.0  # until something comes, and then until more does
 PAGE_SECONDS_MAX = 6.0

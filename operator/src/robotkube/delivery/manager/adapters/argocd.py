@@ -10,8 +10,8 @@ from urllib.parse import quote
 
 import httpx
 
+from robotkube.foundation.certificates.adapters.certificate_authorities import certificate_authorities
 from robotkube.foundation.forge.ports.pull_requests import PushHook
-from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
 
 REFRESH_SECONDS_MAX = 5.0
 

@@ -8,7 +8,7 @@ import httpx
 
 from robotkube.delivery.preflight.core.findings import without_accounts
 from robotkube.delivery.preflight.core.registries import HUB, HUB_API, RegistryAnswer
-from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
+from robotkube.foundation.certificates.adapters.certificate_authorities import certificate_authorities
 
 SECONDS_MAX = 4.0
 API_HEADER, API = "Docker-Distribution-Api-Version", "registry/2.0"

@@ -75,5 +75,8 @@ def sentence(error: OSError, verification: ServerVerification) -> str:
         words = error.verify_message
         return refused_certificate(error.verify_code, words, verification.name, str(verification.authorities))
     if isinstance(error, ssl.SSLError) and error.reason in PLAIN_ANSWERS:
-        return "it does not speak TLS at this port; name the port that does (broker 8883, database 27018), or let it"
+        return (
+            "it does not speak TLS at this port; name the port that does (broker 8883, database 27018), or let it; a "
+            "forge in clear text has an address that begins with http://"
+        )
     return str(error) or type(error).__name__

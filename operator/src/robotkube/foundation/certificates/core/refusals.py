@@ -23,5 +23,8 @@ def refused_certificate(code: int, words: str, name: str, authorities: str) -> s
             "robotkube-ca in the platform's namespace, and with the server's certificate"
         )
     if code in OTHER_NAME:
-        return f"its certificate is not for the name {name}; connect by one that it has, or add this one to tls.names"
+        return (
+            f"its certificate is not for the name {name}; connect by one that it has, or add this one to tls.names (of "
+            "the forge: forge.names)"
+        )
     return f"its certificate does not hold: {words}"

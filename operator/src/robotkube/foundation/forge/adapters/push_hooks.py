@@ -17,8 +17,8 @@ from collections.abc import Callable, Mapping
 
 import httpx
 
+from robotkube.foundation.certificates.adapters.certificate_authorities import certificate_authorities, what_failed
 from robotkube.foundation.forge.core.commit_objects import CommitObjects, write_objects
-from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
 
 HOOK_SECONDS_MAX = 5.0
 RELAY_SECONDS_MAX = 1.0  # the gate's next decision waits for it
@@ -60,7 +60,8 @@ class _PushEvents:
         try:
             answer = self._client.post(self._url, content=body, headers=headers)
         except httpx.HTTPError as error:
-            log.warning("hook not delivered url=%s after=%s reason=%s", self._url, after, error or type(error).__name__)
+            reason = what_failed(error, self._url)
+            log.warning("hook not delivered url=%s after=%s reason=%s", self._url, after, reason)
             return False
         if answer.is_error:
             reason = answer.text[:200].strip()
@@ -122,6 +123,6 @@ class ObjectsRelay:
                 reason = answer.text[:200].strip()
                 log.warning("objects refused url=%s status=%d reason=%s", self._url, answer.status_code, reason)
         except (httpx.HTTPError, RuntimeError) as error:  # the latter: disconnected meanwhile
-            log.warning("objects not sent url=%s reason=%s", self._url, error or type(error).__name__)
+            log.warning("objects not sent url=%s reason=%s", self._url, what_failed(error, self._url))
         finally:
             self._free.release()

@@ -16,10 +16,10 @@ from typing import Any
 import httpx
 
 from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.certificates.adapters.certificate_authorities import certificate_authorities
 from robotkube.foundation.documents.core.digests import canonical_json
 from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.patterns import SUITE_RUN
-from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
 from robotkube.registry.suites.core.requests import (
     SuiteProgress,
     SuiteRequest,

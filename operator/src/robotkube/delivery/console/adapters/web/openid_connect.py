@@ -13,7 +13,7 @@ import httpx
 
 from robotkube.delivery.console.core.signing_in import Person, Provider, SignIn, challenge, read_person, read_provider
 from robotkube.errors import InputError, UnavailableError
-from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
+from robotkube.foundation.certificates.adapters.certificate_authorities import certificate_authorities, what_failed
 
 TIMEOUT_SECONDS = 10.0
 DISCOVERY = "/.well-known/openid-configuration"
@@ -87,7 +87,7 @@ async def _document(client: httpx.AsyncClient, method: str, url: str, **argument
         headers = {"Accept": "application/json", **arguments.pop("headers", {})}
         answer = await client.request(method, url, headers=headers, **arguments)
     except httpx.HTTPError as error:
-        raise UnavailableError(f"{method} {url}: {error or type(error).__name__}") from error
+        raise UnavailableError(f"{method} {url}: {what_failed(error, url)}") from error
     if answer.status_code >= 500 or answer.status_code == 429:
         raise UnavailableError(f"{method} {url}: {answer.status_code}")
     if answer.is_error:

@@ -15,7 +15,7 @@ from pygit2.enums import FileMode
 
 from robotkube.errors import AccountRefusedError, DocumentError, InputError, UnavailableError
 from robotkube.foundation.forge.adapters.git.commit_objects import LOOSE_MAX, pack_loose, store_objects
-from robotkube.foundation.forge.adapters.git.connection import GitConnection, look_up, open_clone
+from robotkube.foundation.forge.adapters.git.connection import GitConnection, look_up, open_clone, what_failed
 from robotkube.foundation.forge.core.commit_objects import CommitObjects
 from robotkube.foundation.forge.ports.repositories import Commit, CommitShape
 from robotkube.writes import writes
@@ -104,7 +104,7 @@ class GitClone:
 
     def _unavailable(self, what: str, error: Exception) -> UnavailableError:
         """The error for what libgit2 raised, which calls a refused password `authentication that we do not support`."""
-        text = str(error)
+        text = what_failed(error, str(self._repository.remotes["origin"].url))
         if isinstance(error, PermissionError) or "authentication" in text:
             text = f"the forge refuses account {self._account[0]}: its password is wrong, or it is not made yet"
             return AccountRefusedError(f"{self._where}: {what}: {text}")

@@ -3,19 +3,43 @@ id."""
 
 from __future__ import annotations
 
+import contextlib
+import ipaddress
 from pathlib import Path
 from typing import Any
 
 import pygit2
 
 from robotkube.errors import InputError
+from robotkube.foundation.certificates.adapters.certificate_authorities import changed_at, refusal_of, trusted
 
 TIMEOUT_MILLISECONDS = 10_000
 SERVER_OUTPUT_CHARACTERS_MAX = 16_384
 EMAIL_DOMAIN = "robotkube.invalid"
+BY_ADDRESS = (
+    "Git does not compare addresses with certificates; connect by a name that its certificate has, such as localhost "
+    "with a forwarded port, or add one to forge.names"
+)
 
 pygit2.settings.server_connect_timeout = TIMEOUT_MILLISECONDS
 pygit2.settings.server_timeout = TIMEOUT_MILLISECONDS
+
+_read: dict[Path, int] = {}
+
+
+def read_authorities() -> None:
+    """Have libgit2 believe whom this process trusts, as their files are now, besides the usual authorities."""
+    for path in trusted():
+        changed = changed_at(path)
+        if _read.get(path) != changed:
+            pygit2.settings.set_ssl_cert_locations(str(path), None)
+            _read[path] = changed
+
+
+def what_failed(error: Exception, url: str) -> str:
+    """What a connection to `url` met, in words. libgit2 does not say why it refused a certificate: that is asked."""
+    text = str(error)
+    return (refusal_of(url) or text) if "certificate" in text or "SSL" in text else text
 
 
 class GitConnection(pygit2.RemoteCallbacks):
@@ -25,6 +49,7 @@ class GitConnection(pygit2.RemoteCallbacks):
 
     def __init__(self, account: tuple[str, str]) -> None:
         super().__init__()
+        read_authorities()
         self._account = account
         self._asked = 0
         self.output = self.refusal = ""
@@ -35,6 +60,14 @@ class GitConnection(pygit2.RemoteCallbacks):
         if self._asked > 2:
             raise PermissionError(f"the forge refused the password of account {self._account[0]}")
         return pygit2.UserPass(*self._account)
+
+    def certificate_check(self, certificate: None, valid: bool, host: bytes | str) -> bool:
+        """libgit2's verdict, but none on an address: it compares those wrongly. InputError names the way out."""
+        name = host.decode() if isinstance(host, bytes) else host
+        with contextlib.suppress(ValueError):
+            ipaddress.ip_address(name)
+            raise InputError(f"the forge at {name}: {BY_ADDRESS}")
+        raise pygit2.Passthrough
 
     def sideband_progress(self, string: str) -> None:
         """Keep the newest SERVER_OUTPUT_CHARACTERS_MAX of the server's output."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import pygit2
 
 from robotkube.errors import UnavailableError
-from robotkube.foundation.forge.adapters.git.connection import EMAIL_DOMAIN, GitConnection, open_clone
+from robotkube.foundation.forge.adapters.git.connection import EMAIL_DOMAIN, GitConnection, open_clone, what_failed
 from robotkube.writes import writes
 
 REFERENCE = "refs/notes/robotkube"
@@ -25,6 +25,7 @@ class GitNotes:
         self, url: str, repository: str, username: str, password: str, folder: Path, reference: str = REFERENCE
     ) -> None:
         self._account = (username, password)
+        self._url = url
         self._reference = reference
         self._repository = open_clone(folder, url, repository)
 
@@ -44,7 +45,7 @@ class GitNotes:
             remote = self._repository.remotes["origin"]
             remote.fetch([ALL_NOTES], callbacks=GitConnection(self._account))
         except (pygit2.GitError, PermissionError, OSError) as error:
-            raise UnavailableError(f"notes: fetch: {error}") from error
+            raise UnavailableError(f"notes: fetch: {what_failed(error, self._url)}") from error
 
     def _text(self, commit: str) -> str | None:
         """The text of a commit's note; None when it has none, empty when its note is no text."""
@@ -70,6 +71,6 @@ class GitNotes:
         try:
             self._repository.remotes["origin"].push([f"{self._reference}:{self._reference}"], callbacks=connection)
         except (pygit2.GitError, PermissionError, OSError) as error:
-            raise UnavailableError(f"notes: push: {error}") from error
+            raise UnavailableError(f"notes: push: {what_failed(error, self._url)}") from error
         if connection.refusal:
             raise UnavailableError(f"notes: push refused: {connection.refusal}")

@@ -17,7 +17,7 @@ from pygit2.enums import FileMode
 
 from robotkube.errors import RefusalError, UnavailableError
 from robotkube.foundation.forge.adapters.git.commit_objects import new_objects
-from robotkube.foundation.forge.adapters.git.connection import EMAIL_DOMAIN, GitConnection, look_up
+from robotkube.foundation.forge.adapters.git.connection import EMAIL_DOMAIN, GitConnection, look_up, what_failed
 from robotkube.foundation.forge.core.commit_objects import CommitObjects
 from robotkube.writes import writes
 
@@ -118,7 +118,8 @@ class ProposalWriter:
         try:
             self._repository.remotes["origin"].push([specification], callbacks=connection, push_options=options or None)
         except (pygit2.GitError, PermissionError, OSError) as error:
-            raise UnavailableError(f"proposal {topic}: push: {error}") from error
+            words = what_failed(error, str(self._repository.remotes["origin"].url))
+            raise UnavailableError(f"proposal {topic}: push: {words}") from error
         if connection.refusal:
             raise RefusalError("ProposalRefused", f"the forge refused proposal {topic}: {connection.refusal}")
         return connection.output

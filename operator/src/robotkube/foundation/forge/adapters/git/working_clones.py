@@ -10,7 +10,7 @@ from typing import NoReturn
 import pygit2
 
 from robotkube.errors import InputError, RefusalError, UnavailableError
-from robotkube.foundation.forge.adapters.git.connection import EMAIL_DOMAIN, GitConnection
+from robotkube.foundation.forge.adapters.git.connection import EMAIL_DOMAIN, GitConnection, what_failed
 from robotkube.writes import writes
 
 
@@ -82,7 +82,7 @@ class WorkingClone:
                 raise RefusalError(
                     "MainMoved", f"{url}: main has moved; sign a commit that stands on its tip"
                 ) from error
-            raise UnavailableError(f"{url}: push: {error}") from error
+            raise UnavailableError(f"{url}: push: {what_failed(error, url)}") from error
         finally:
             self._repository.references.delete(name)
         if connection.refusal:

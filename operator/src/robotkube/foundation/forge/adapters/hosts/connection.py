@@ -8,7 +8,8 @@ from typing import Any
 import httpx
 
 from robotkube.errors import InputError, UnavailableError
-from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
+from robotkube.foundation.certificates.adapters.certificate_authorities import certificate_authorities, what_failed
+from robotkube.foundation.runtime.adapters.kept_connections import KeptConnections
 
 TIMEOUT_SECONDS = 10.0
 
@@ -28,9 +29,10 @@ class ForgeConnection:
         headers: Mapping[str, str] | None = None,
         account: tuple[str, str] | None = None,
     ) -> None:
+        self._url = url
         self._where = where
         self._hint = hint
-        self._client = httpx.Client(
+        self._client = KeptConnections(
             base_url=url,
             auth=account,
             headers=dict(headers or {}),
@@ -48,7 +50,7 @@ class ForgeConnection:
         try:
             answer = self._client.request(method, path, **arguments)
         except httpx.HTTPError as error:
-            raise UnavailableError(f"{self._where}: {method} {path}: {error or type(error).__name__}") from error
+            raise UnavailableError(f"{self._where}: {method} {path}: {what_failed(error, self._url)}") from error
         if answer.status_code >= 500 or answer.status_code == 429 or _limited(answer):
             raise UnavailableError(f"{self._where}: {method} {path}: {answer.status_code} {_message(answer)}")
         if answer.is_error:

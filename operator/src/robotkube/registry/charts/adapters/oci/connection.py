@@ -15,9 +15,10 @@ from typing import Any
 import httpx
 
 from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.certificates.adapters.certificate_authorities import certificate_authorities, what_failed
 from robotkube.foundation.documents.core.digests import sha256
 from robotkube.foundation.documents.core.json_codec import read_json
-from robotkube.foundation.runtime.adapters.certificate_authorities import certificate_authorities
+from robotkube.foundation.runtime.adapters.kept_connections import KeptConnections
 from robotkube.registry.charts.adapters.oci.authentication import RegistryAuthentication
 from robotkube.registry.charts.core.packing import MANIFEST_TYPE
 from robotkube.registry.charts.core.referrers import INDEX_TYPE, PAGES_MAX
@@ -40,7 +41,7 @@ class RegistryConnection:
         an authority that is believed beside the usual ones."""
         self.url = url.rstrip("/")
         self._user = user
-        self._client = httpx.Client(
+        self._client = KeptConnections(
             base_url=f"{self.url}/v2/",
             verify=certificate_authorities(trust_env=False, more=authority),
             timeout=seconds or TIMEOUT,
@@ -226,7 +227,7 @@ class RegistryConnection:
         return answer
 
     def _unavailable(self, method: str, path: str, error: httpx.HTTPError) -> UnavailableError:
-        reason = error or type(error).__name__
+        reason = what_failed(error, self.url)
         return UnavailableError(f"OCI registry {self.url}: {method} {path.partition('?')[0]}: {reason}")
 
     def _expect(self, answer: httpx.Response, what: str, code: int) -> httpx.Response:

@@ -1,0 +1,295 @@
+"""The forge as the chart starts it with `forge.tls`, a real Gitea: Git, charts and webhooks by TLS, who is refused and
+in what words, and that a renewed certificate is shown without a lost request."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import signal
+import socket
+import ssl
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from ci import toolchain
+from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.certificates.adapters import certificate_authorities
+from robotkube.foundation.certificates.adapters.issuing import issue, new_authority
+from robotkube.foundation.certificates.core.lives import Pair
+from robotkube.foundation.forge.adapters.git import GitClone
+from robotkube.foundation.forge.adapters.hosts.gitea import GiteaForge
+from robotkube.foundation.runtime.adapters.webhook_server import WebServer
+from robotkube.foundation.runtime.core.webhook_deliveries import WebhookDelivery
+from robotkube.registry.charts.adapters.oci import OciRegistry
+from robotkube.registry.charts.core.packing import PackedChart, pack_chart
+from robotkube.setup.adapters.gitea_administration import GiteaAdministration
+from robotkube.setup.loops.bootstrap import Bootstrap
+from tests.stages import http_calls
+from tests.stages.forge.installation import ACCOUNTS, WEBHOOK_SECRET, Installation, forge_setup
+from tests.stages.paths import CHARTS
+from tests.stages.programs import SELDOM_COLLECTING, free_port, program
+from tests.stages.waiting import WAIT_SECONDS_MAX, until
+
+pytestmark = pytest.mark.toolchain
+
+PLATFORM = CHARTS / "robotkube"
+EMBEDDED = (PLATFORM / "values-embedded.yaml", Path(__file__).parent / "profiles" / "embedded.yaml")
+PREPARE_SECONDS_MAX = 60
+RENEWALS, ASKING = 2, 3
+DEPLOYMENT = "robotkube/deployment"
+
+
+@dataclass
+class EncryptedForge:
+    """The containers of the forge's pod, as processes of what the chart renders, on their files."""
+
+    folder: Path
+    rendered: Any
+    port: int = field(default_factory=free_port)
+    authority: Pair = field(default_factory=lambda: new_authority("ours", time.time()))
+
+    @property
+    def url(self) -> str:
+        return f"https://localhost:{self.port}"
+
+    @property
+    def names(self) -> list[str]:
+        """Those that the process `certificates` is told."""
+        settings = yaml.safe_load(self.rendered.one("ConfigMap", "certificates")["data"]["config.yaml"])
+        [certificate] = [one for one in settings["certificates"] if "service" in one]
+        assert (certificate["secret"], certificate["service"]) == ("forge-tls", "forge")
+        return list(certificate["names"])
+
+    def moved(self, text: str) -> str:
+        """A file of the pod with its places moved to the test's."""
+        places = {
+            " /data": f" {self.folder}/data",
+            "/run/forge": f"{self.folder}/run",
+            "/etc/forge-tls": str(self.folder),
+            "/etc/forge-hooks": str(PLATFORM / "files" / "forge-hooks"),
+            "/etc/gitea": str(self.folder),
+            "/var/run/secrets/robotkube": str(self.folder),
+            "HTTP_PORT = 3000": f"HTTP_PORT = {self.port}",
+            "127.0.0.1:3000": f"127.0.0.1:{self.port}",
+            "/opt/gitea": str(toolchain.gitea_static("templates").parent),
+            "pause=5": "pause=0.5",
+            "ALLOWED_HOST_LIST = private": "ALLOWED_HOST_LIST = loopback",
+        }
+        for old, new in places.items():
+            text = text.replace(old, new)
+        return text
+
+    def start(self) -> None:
+        for name in ("data", "run"):
+            (self.folder / name).mkdir(parents=True)
+        account = self.rendered.one("Secret", "forge-account-administrator")["stringData"]
+        scripts = self.rendered.one("ConfigMap", "forge")["data"]
+        settings = self.rendered.one("Secret", "forge")["stringData"]
+        scripts["run.sh"] = scripts.pop("run")
+        for name, text in {**account, **scripts, **settings}.items():
+            (self.folder / name).write_text(self.moved(text))
+        (self.folder / "ca.crt").write_text(self.authority.certificate)
+        self.show(3600)
+        subprocess.run(["sh", str(self.folder / "prepare")], env=self.environment(), capture_output=True, check=True)
+        [container] = dict(self.rendered.pods)["StatefulSet/forge"]["containers"]
+        assert container["command"] == ["sh", "/prepare/run"]
+        with (self.folder / "log").open("ab") as log:
+            self.process = subprocess.Popen(
+                ["sh", str(self.folder / "run.sh")], env=self.environment(), stdout=log, stderr=log
+            )
+        until(self.answers, "the forge", state=lambda: (self.folder / "log").read_text())
+
+    def environment(self) -> Mapping[str, str]:
+        return {
+            "PATH": f"{Path(program('gitea')).parent}:{os.environ['PATH']}",
+            "HOME": str(self.folder / "data"),
+            "GITEA_I_AM_BEING_UNSAFE_RUNNING_AS_ROOT": "true",
+            "FORGE_CONFIG": str(self.folder / "app.ini"),
+            "SSL_CERT_DIR": str(self.folder),
+            **SELDOM_COLLECTING,
+        }
+
+    def answers(self) -> bool:
+        try:
+            return bool(self.shown())
+        except OSError:
+            return False
+
+    def show(self, seconds: float, began: float = 0.0, authority: Pair | None = None) -> None:
+        """Another certificate in the mounted files, both at once as a kubelet does it."""
+        pair = issue(authority or self.authority, self.names, time.time() - began, seconds)
+        for name, text in (("tls.key", pair.key), ("tls.crt", pair.certificate)):
+            (self.folder / f"{name}.new").write_text(text)
+        for name in ("tls.key", "tls.crt"):
+            (self.folder / f"{name}.new").replace(self.folder / name)
+
+    def shown(self) -> bytes:
+        """The certificate that a client sees now, valid or not."""
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+        with socket.create_connection(("127.0.0.1", self.port), 10) as plain, context.wrap_socket(plain) as encrypted:
+            return encrypted.getpeercert(binary_form=True) or b""
+
+    def renewed(self) -> Callable[[], bool]:
+        """Show another one; whether the forge does."""
+        before = self.shown()
+        self.show(3600)
+        return lambda: self.shown() != before
+
+    def administrator(self) -> tuple[str, str]:
+        return (self.folder / "username").read_text(), (self.folder / "password").read_text()
+
+    def stop(self) -> None:
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGTERM)
+            self.process.wait(WAIT_SECONDS_MAX)
+
+
+@dataclass
+class Stage:
+    """The forge with everything on it, and who hears its webhooks."""
+
+    forge: EncryptedForge
+    installation: Installation
+    heard: list[WebhookDelivery]
+
+    def account(self, name: str = "gate") -> tuple[str, str]:
+        return name, self.installation.passwords[name]
+
+    def clone(self, folder: Path, url: str = "") -> GitClone:
+        return GitClone(url or self.forge.url, DEPLOYMENT, *self.account(), folder)
+
+
+@pytest.fixture(scope="module")
+def stage(helm: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
+    forge = EncryptedForge(
+        tmp_path_factory.mktemp("forge") / "pod", helm.template(PLATFORM, *EMBEDDED, forge={"tls": True})
+    )
+    heard: list[WebhookDelivery] = []
+    server = WebServer("127.0.0.1", 0, list, str, WEBHOOK_SECRET.encode(), heard.append)
+    server.start()
+    with pytest.MonkeyPatch.context() as patching:
+        patching.setattr(certificate_authorities, "_trusted", {})
+        try:
+            forge.start()
+            certificate_authorities.trust(forge.folder / "ca.crt")
+            administration = GiteaAdministration(forge.url, *forge.administrator())
+            passwords = {name: secrets.token_hex(12) for name in ACCOUNTS}
+            port = server.ports["port"]
+            setup = forge_setup(passwords, f"http://127.0.0.1:{port}/webhook")
+            Bootstrap(60, time.monotonic, time.sleep).forge(setup, administration)
+            administration.disconnect()
+            made = Installation(forge.url, passwords, port, tmp_path_factory.mktemp("clones"), setup)
+            yield Stage(forge, made, heard)
+            made.disconnect()
+        finally:
+            forge.stop()
+            server.stop()
+
+
+def chart() -> PackedChart:
+    metadata = {"apiVersion": "v2", "name": "app", "version": "0.1.0"}
+    return pack_chart("app", metadata, {"Chart.yaml": json.dumps(metadata).encode()})
+
+
+def complaint(attempt: Callable[[], object]) -> str:
+    """What somebody says who cannot connect."""
+    with pytest.raises(UnavailableError) as error:
+        attempt()
+    return str(error.value)
+
+
+def test_git_by_tls_with_the_hooks_and_webhooks_behind_it(stage: Stage, tmp_path: Path) -> None:
+    gate, manager = stage.clone(tmp_path / "gate"), stage.installation.clone("manager")
+    tip = gate.fetch()
+    commit = manager.commit({"releases/a": "b\n"}, "one", [manager.tip()])
+    number = stage.installation.propose(manager, commit, "one")  # by AGit: its hooks ask the forge
+    assert gate.proposal(number).id == commit
+    assert gate.push_main(commit)
+    assert gate.fetch() == commit != tip
+    until(lambda: any(one.event == "push" for one in stage.heard), "the webhook")
+
+
+def test_charts_are_pushed_and_pulled_by_tls(stage: Stage) -> None:
+    packed = chart()
+    with OciRegistry(stage.forge.url, *stage.account()) as registry:
+        assert registry.push_chart("verified", packed) == packed.digest
+    with OciRegistry(stage.forge.url, *stage.account("argocd")) as registry:
+        assert registry.pull_chart("verified/app", packed.digest).digest == packed.digest
+
+
+def attempts(stage: Stage, url: str, folder: Path) -> Iterator[Callable[[], object]]:
+    """A look at the forge by each kind of client."""
+    yield stage.clone(folder, url).fetch
+    yield lambda: OciRegistry(url, *stage.account()).list("verified/app")
+    yield lambda: GiteaForge(url, DEPLOYMENT, *stage.account()).pull_requests()
+    yield lambda: GiteaAdministration(url, *stage.forge.administrator()).answers()
+
+
+def test_another_name_and_another_authority_are_refused_in_words(stage: Stage, tmp_path: Path) -> None:
+    address, *others = attempts(stage, f"https://127.0.0.2:{stage.forge.port}", tmp_path / "address")
+    with pytest.raises(InputError, match=r"the forge at 127\.0\.0\.2: Git does not compare addresses .* forge\.names"):
+        address()
+    for number, attempt in enumerate(others):
+        words = complaint(attempt)
+        assert "its certificate is not for the name 127.0.0.2; connect by one that it has, or add" in words, number
+    other = f"https://{socket.gethostname()}:{stage.forge.port}"
+    assert f"its certificate is not for the name {socket.gethostname()}" in complaint(
+        stage.clone(tmp_path / "name", other).fetch
+    )
+    before = stage.forge.shown()
+    stage.forge.show(3600, authority=new_authority("another", time.time()))
+    until(lambda: stage.forge.shown() != before, "the certificate of another authority")
+    unknown = f"its certificate is of an authority that {stage.forge.folder / 'ca.crt'} does not have; compare"
+    for number, attempt in enumerate(attempts(stage, stage.forge.url, tmp_path / "authority")):
+        assert unknown in complaint(attempt), number
+    until(stage.forge.renewed(), "the renewed certificate")
+
+
+def test_a_renewal_loses_no_request(stage: Stage, tmp_path: Path) -> None:
+    """Requests on connections that are kept and on new ones, by Git and to the registry, while it starts anew."""
+    ended, lost, asked = threading.Event(), [], [0] * ASKING
+
+    def ask(number: int, attempt: Callable[[], object]) -> None:
+        while not ended.is_set():
+            try:
+                attempt()
+                asked[number] += 1
+            except Exception as error:
+                lost.append(repr(error))
+
+    clone = stage.clone(tmp_path / "clone")
+    registry = OciRegistry(stage.forge.url, *stage.account())
+    get = f"{stage.forge.url}/api/v1/repos/{DEPLOYMENT}"
+    fresh = lambda: http_calls.get(get, auth=stage.account(), timeout=30).raise_for_status()  # noqa: E731
+    asking = [clone.fetch, lambda: registry.list("verified/app"), fresh]
+    threads = [threading.Thread(target=ask, args=one) for one in enumerate(asking)]
+    for thread in threads:
+        thread.start()
+    try:
+        for _ in range(RENEWALS):
+            until(stage.forge.renewed(), "the renewed certificate")
+            before = list(asked)
+            until(lambda before=before: all(a > b for a, b in zip(asked, before, strict=True)), "further answers")
+    finally:
+        ended.set()
+        for thread in threads:
+            thread.join()
+    registry.disconnect()
+    assert lost == []
+    assert stage.forge.process.poll() is None
+
+
+def test_it_ends_when_the_kubelet_says_so(stage: Stage) -> None:
+    stage.forge.process.send_signal(signal.SIGTERM)
+    stage.forge.process.wait(WAIT_SECONDS_MAX)
+    assert not stage.forge.answers()
