@@ -1,6 +1,6 @@
 # Every target runs a module of ci/ or scenarios/ in the project's own Python environment (made by ci/python, kept in the cache folder).
 .DEFAULT_GOAL := help
-.PHONY: help demo drive test test-fast test-thorough check bench cluster nodes status down toolchain images bundle lock golden reference docs
+.PHONY: help demo drive test test-fast test-thorough check bench cluster nodes status down toolchain images web bundle lock golden reference docs
 
 PYTHON := ci/python
 # the name of a folder below scenarios/, and a variant of its scenario.yaml: make demo SCENARIO=three-vehicles VARIANT=small
@@ -65,6 +65,9 @@ toolchain:      ## build the programs of the embedded cluster (cached)
 
 images:         ## build the container images (cached)
 	@$(PYTHON) -m ci.images
+
+web:            ## build the forge's pages (cached); images that are built afterwards have them
+	@$(PYTHON) -m ci.web
 
 bundle:         ## the platform in one file: images, charts with evidence, Argo CD; for registries and other clusters
 	@$(PYTHON) -m ci.bundle

@@ -27,6 +27,7 @@ NEEDS: dict[str, tuple[str, ...]] = {
         "util-linux",
     ),
     "images": ("buildah", "mmdebstrap"),
+    "browser": ("chromium",),
     # the last four are what the broker is linked with, see `unpacked`
     "tests": (
         "git",

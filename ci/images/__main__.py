@@ -6,10 +6,10 @@ import argparse
 import sys
 from pathlib import Path
 
-from ci import console, preparing
+from ci import preparing
 from ci.errors import SetUpError
-from ci.images.building import NAMES, build_images, cache_folder
-from ci.images.catalogue import BY_NAME, Sources, go_module
+from ci.images.building import NAMES, build_images, cache_folder, sources
+from ci.images.catalogue import BY_NAME
 from ci.images.contexts import ContextError, assemble, check
 from ci.images.services import GROUND, SERVICE_NAMES
 from ci.steps import Steps
@@ -37,7 +37,7 @@ def write_context(name: str, folder: Path, toolchain_bin: Path) -> None:
         )
     if name not in BY_NAME:
         raise BuildError(f"no such image: {name}; there are {', '.join(BY_NAME)}")
-    contents = BY_NAME[name].contents(Sources(toolchain_bin, go_module, console.build))
+    contents = BY_NAME[name].contents(sources(toolchain_bin))
     check(name, contents)
     assemble(contents, folder)
     (folder / "Dockerfile").write_bytes(BY_NAME[name].dockerfile.read_bytes())

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from ci import console
+from ci import console, web
 from ci.images import cutting, debian, machine
 from ci.images.built import (
     ARCHIVE,
@@ -59,6 +59,11 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "robotkube" / "images"
 
 
+def sources(toolchain_bin: Path) -> Sources:
+    """Where this machine has what images are made of."""
+    return Sources(toolchain_bin, go_module, console.build, web.built())
+
+
 def build_images(
     toolchain_bin: Path,
     folder: Path | None = None,
@@ -73,7 +78,7 @@ def build_images(
     run at a time per cache folder; a second one waits. Raises BuildError or ContextError.
     """
     chosen, cut = _choose(names)
-    shop = Workshop(folder or cache_folder(), Sources(toolchain_bin, go_module, console.build), fresh)
+    shop = Workshop(folder or cache_folder(), sources(toolchain_bin), fresh)
     shop.folder.mkdir(parents=True, exist_ok=True)
     contents = {image.name: image.contents(shop.sources) for image in chosen}
     for name, copied in contents.items():

@@ -18,12 +18,14 @@ MODULE_SECONDS_MAX = 300
 
 @dataclass(frozen=True)
 class Sources:
-    """Where programs, Go modules' files and the console's page come from; `module` maps (module path, folder of the
-    go.mod naming it) to its folder, `page` builds the page when it is not there and gives its folder."""
+    """Where programs, Go modules' files and pages come from; `module` maps (module path, folder of the go.mod naming
+    it) to its folder, `page` builds the console's page when it is not there and gives its folder; `forge_pages`: what
+    the forge's pages load, None where nobody has built that (`make web`)."""
 
     toolchain_bin: Path
     module: Callable[[str, str], Path]
     page: Callable[[], Path]
+    forge_pages: Path | None = None
 
 
 @cache
@@ -102,6 +104,8 @@ def _suites(sources: Sources) -> tuple[Copied, ...]:
 def _gitea(sources: Sources) -> tuple[Copied, ...]:
     module = sources.module("code.gitea.io/gitea", "toolchain/gitea")
     data = [Copied(module / name, f"share/gitea/{name}") for name in ("options", "templates", "public")]
+    if sources.forge_pages:
+        data.append(Copied(sources.forge_pages, "share/gitea/public/assets"))
     return (_program(sources, "gitea"), _program(sources, "forge-hook"), *data)
 
 

@@ -12,11 +12,11 @@ from scenarios.runner.access import Endpoint
 PASSWORD = "$(kubectl -n robotkube get secret forge-account-{person} -o jsonpath={{.data.password}} | base64 -d)"  # noqa: S105
 AUTHORITY = "robotkube-ca.crt"
 READING_AUTHORITY = r"kubectl -n robotkube get configmap robotkube-ca -o jsonpath='{.data.ca\.crt}'"
-WEB_PAGES = (
-    "The web pages of the forge and of Argo CD need front ends that are not built here yet; their APIs and the "
-    "commands above show the same."
-)
 ROBOTKUBE = "ci/python -m robotkube.cli"
+WEB_PAGES = (
+    f"`{ROBOTKUBE} open plan N --forge` opens a pull request's page at the forge, and says so when `make web` has not "
+    "built what it loads. Argo CD's pages cannot be built here; the commands above show the same."
+)
 SEEING = (
     f"`{ROBOTKUBE} watch` shows what happens as it happens, until ctrl-C; `{ROBOTKUBE} open` opens the console, or "
     "says what shows the same."
@@ -57,7 +57,7 @@ def commands(scenario: Scenario, kubeconfig: Path, forge: Endpoint) -> Iterator[
 
 
 def lines(scenario: Scenario, kubeconfig: Path, forge: Endpoint) -> Iterator[str]:
-    """The commands as text, and what cannot be inspected."""
+    """The commands as text, and how pages are seen."""
     yield "To inspect the cluster:"
     for what, command in commands(scenario, kubeconfig, forge):
         yield f"  # {what}"

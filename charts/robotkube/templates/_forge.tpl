@@ -1,6 +1,6 @@
 {{- /* Accounts besides the administrator; what each may do: docs/reference/settings.md. */ -}}
 {{- define "robotkube.forgeAccounts" -}}
-{{ include "robotkube.managerNames" . }} gate argocd publisher image-publisher suite-runner inspector nodes {{ if (include "robotkube.rights" . | fromYaml).enabled }}rights {{ end }}{{ if .Values.admission.enabled }}admission {{ end }}{{ include "robotkube.people" . }}
+{{ include "robotkube.managerNames" . }} gate argocd publisher image-publisher suite-runner inspector nodes {{ if (include "robotkube.rights" . | fromYaml).enabled }}rights {{ end }}{{ if .Values.admission.enabled }}admission {{ end }}{{ with include "robotkube.viewers" . }}{{ . }} {{ end }}{{ include "robotkube.people" . }}
 {{- end }}
 
 {{- /* Accounts of people, separated by blanks; the first ones of the values when an upgrade reuses older values. */ -}}
@@ -8,24 +8,36 @@
 {{ join " " (.Values.forge.people | default (list "operator-team" "reviewer")) }}
 {{- end }}
 
-{{- /* What is wrong with them, one line each. */ -}}
+{{- /* Accounts that see pull requests and nothing else, separated by blanks. */ -}}
+{{- define "robotkube.viewers" -}}
+{{ join " " (.Values.forge.viewers | default list) }}
+{{- end }}
+
+{{- /* What is wrong with either, one line each. */ -}}
 {{- define "robotkube.peopleRefusals" -}}
 {{- $people := splitList " " (include "robotkube.people" .) }}
 {{- $taken := splitList " " (include "robotkube.platformNames" .) }}
 {{- if lt (len (uniq $people)) 2 }}
 {{ print "forge.people: nobody may approve what he proposed himself, so with fewer than two accounts nothing that people propose could be merged. Name two or more, each once." }}
 {{- end }}
-{{- range $name := $people }}
+{{- range $key, $names := dict "people" $people "viewers" (.Values.forge.viewers | default list) }}
+{{- range $name := $names }}
 {{- if not (regexMatch "^[a-z]([-a-z0-9]{0,28}[a-z0-9])?$" $name) }}
-{{ printf "forge.people: %q becomes an account and a Secret. Use at most 30 lower case letters, digits and hyphens, a letter first." $name }}
+{{ printf "forge.%s: %q becomes an account and a Secret. Use at most 30 lower case letters, digits and hyphens, a letter first." $key $name }}
 {{- end }}
 {{- if has $name $taken }}
-{{ printf "forge.people: %q belongs to a part of the platform. Use another name." $name }}
+{{ printf "forge.%s: %q belongs to a part of the platform. Use another name." $key $name }}
+{{- end }}
+{{- end }}
+{{- end }}
+{{- range .Values.forge.viewers }}
+{{- if has . $people }}
+{{ printf "forge.viewers: %q is one of forge.people, who may write. Name it in one of the two." . }}
 {{- end }}
 {{- end }}
 {{- end }}
 
-{{- /* Names that neither a manager nor a person may have. */ -}}
+{{- /* Names that neither a manager, nor a person, nor a viewer may have. */ -}}
 {{- define "robotkube.platformNames" -}}
 administrator admission argocd bootstrap broker certificates console database default forge gate gate-key image-publisher inspector nodes observer own-images publisher remover rights robotkube staging staging-publisher suite-runner teardown verified
 {{- end }}

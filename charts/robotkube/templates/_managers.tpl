@@ -62,7 +62,7 @@
 {{- /* What is wrong with each of `managers` by itself, one line each. Whether they fit together is said by the managers and the gate
        when they start (robotkube.delivery.manager.core.placement.scopes). */ -}}
 {{- define "robotkube.managerRefusals" -}}
-{{- $taken := concat (splitList " " (include "robotkube.platformNames" .)) (splitList " " (include "robotkube.people" .)) }}
+{{- $taken := concat (splitList " " (include "robotkube.platformNames" .)) (splitList " " (include "robotkube.people" .)) (.Values.forge.viewers | default list) }}
 {{- $declared := list }}{{ range .Values.agents }}{{ $declared = append $declared .name }}{{ end }}
 {{- $managers := fromYamlArray (include "robotkube.managers" .) }}
 {{- if .Values.manager }}

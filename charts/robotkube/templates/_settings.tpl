@@ -89,6 +89,7 @@ webhook:
 {{- $rights := include "robotkube.rights" . | fromYaml -}}
 {{- $readers := include "robotkube.managerNames" . | replace " " ": read, " -}}
 {{- $people := include "robotkube.people" . | replace " " ": write, " -}}
+{{- $viewers := include "robotkube.viewers" . | replace " " ": pulls, " -}}
 log_level: {{ .Values.logLevel }}
 wait_seconds: {{ .Values.bootstrap.waitSeconds | int }}
 {{- if eq .Values.forge.kind "gitea" }}
@@ -113,13 +114,13 @@ forge:
     description: What runs on the fleet, one file per release
     branch: main
     seed: /etc/robotkube/seed/deployment
-    access: { {{- $readers }}: read, gate: write, argocd: read, inspector: read, {{ if $rights.enabled }}rights: read, {{ end }}{{ $people }}: write}
+    access: { {{- $readers }}: read, gate: write, argocd: read, inspector: read, {{ if $rights.enabled }}rights: read, {{ end }}{{ with $viewers }}{{ . }}: pulls, {{ end }}{{ $people }}: write}
     main: [gate]
   - name: robotkube/catalogue
     description: What may be deployed
     branch: main
     seed: /etc/robotkube/seed/catalogue
-    access: { {{- $readers }}: read, gate: write, publisher: read, inspector: read, {{ if .Values.admission.enabled }}admission: read, {{ end }}{{ $people }}: write}
+    access: { {{- $readers }}: read, gate: write, publisher: read, inspector: read, {{ if .Values.admission.enabled }}admission: read, {{ end }}{{ with $viewers }}{{ . }}: pulls, {{ end }}{{ $people }}: write}
     main: [gate]
   webhooks:
   {{- range $process := splitList " " (include "robotkube.hearers" .) }}

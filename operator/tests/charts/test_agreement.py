@@ -32,7 +32,7 @@ from robotkube.robots.detector.core.settings import read_detector_settings
 from robotkube.robots.perception.core.detection_settings import read_detection_settings
 from robotkube.robots.perception.core.tracking_settings import read_tracking_settings
 from robotkube.setup import bootstrap, gate_key, installation_test, teardown
-from tests.stages.forge.installation import ACCOUNTS, PACKAGES
+from tests.stages.forge.installation import ACCOUNTS, PACKAGES, VIEWER
 from tests.stages.paths import CHARTS
 from tests.stages.registry import chart_images
 from tests.stages.settings_mounted import GATE, mounted, write
@@ -135,11 +135,18 @@ def test_the_bootstrap_gets_all_seeds_and_accounts(official: Any, tmp_path: Path
     assert [account.database for account in found.database.accounts] == ["recordings_cloud_0"]
 
 
-def test_the_bootstrap_gives_the_package_rights_that_are_tried_on_a_forge(official: Any, tmp_path: Path) -> None:
-    found = read_settings(mounted(official, "bootstrap", tmp_path), bootstrap.read_configuration)
+@pytest.mark.parametrize("profile", ["official", "embedded"])
+def test_the_bootstrap_gives_the_rights_that_are_tried_on_a_forge(
+    request: pytest.FixtureRequest, tmp_path: Path, profile: str
+) -> None:
+    path = mounted(request.getfixturevalue(profile), "bootstrap", tmp_path)
+    found = read_settings(path, bootstrap.read_configuration)
     assert found.forge is not None
     assert {one.name: one.packages for one in found.forge.setup.organisations} == PACKAGES
-    assert {one.name for one in found.forge.setup.accounts} == set(ACCOUNTS)
+    viewers = {VIEWER: "pulls"} if profile == "embedded" else {}
+    assert {one.name for one in found.forge.setup.accounts} == set(ACCOUNTS) - {VIEWER} | set(viewers)
+    for repository in found.forge.setup.repositories:
+        assert {name: level for name, level in repository.access.items() if level == "pulls"} == viewers
 
 
 def test_each_webhook_has_a_secret_of_its_own_that_both_ends_know(helm: Any, tmp_path: Path) -> None:

@@ -99,6 +99,14 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
         {"forge": {"people": ["one", "gate"]}},
         'forge.people: "gate" belongs to a part of the platform. Use another name.',
     ),
+    "a viewer who is a program": (
+        {"forge": {"viewers": ["gate"]}},
+        'forge.viewers: "gate" belongs to a part of the platform. Use another name.',
+    ),
+    "a viewer who may write": (
+        {"forge": {"viewers": ["reviewer"]}},
+        'forge.viewers: "reviewer" is one of forge.people, who may write.',
+    ),
     "a manager who is a person": (
         {"managers": [{"name": "one"}], "forge": {"people": ["one", "two"]}},
         'managers[0] "one": this name belongs to a part of the platform.',

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any
 
 import pytest
@@ -14,6 +16,7 @@ from tests.stages.live_platform import plan, pod, task
 
 CONSOLE = "http://10.96.0.7:8080"
 FORGE = "http://10.96.0.9:3000"
+INSIDE = "http://forge.robotkube.svc.cluster.local:3000/robotkube/deployment/pulls/4"
 
 
 class PlatformInMemory:
@@ -21,14 +24,18 @@ class PlatformInMemory:
 
     def __init__(self, services: Mapping[str, tuple[str, int]]) -> None:
         self.services = dict(services)
+        self.viewers: set[str] = set()
 
     def address(self, service: str) -> tuple[str, int]:
         if service not in self.services:
             raise InputError(f"no Service {service}")
         return self.services[service]
 
+    def forge_secret(self, account: str) -> str:
+        return f"-n robotkube get secret forge-account-{account}" if account in self.viewers else ""
+
     def page(self, path: str) -> Mapping[str, Any]:
-        known = plan("20261118-1", pull_request=4, commit="07a9365612abcdef07a9365612abcdef07a93656")
+        known = plan("20261118-1", pull_request=4, commit="07a9365612abcdef07a9365612abcdef07a93656", url=INSIDE)
         return {"plans": [known, plan("20261118-2", tasks=[], events=[])]}
 
     def tasks(self) -> Sequence[Mapping[str, Any]]:
@@ -42,6 +49,7 @@ class PlatformInMemory:
 def platform(monkeypatch: pytest.MonkeyPatch) -> PlatformInMemory:
     platform = PlatformInMemory({"console": ("10.96.0.7", 8080), "forge": ("10.96.0.9", 3000)})
     monkeypatch.setattr(opening, "Platform", lambda options: platform)
+    monkeypatch.setattr(opening, "lacks_pages", lambda forge: False)
     return platform
 
 
@@ -138,6 +146,64 @@ def test_without_a_console_a_plan_is_seen_at_the_forge(
     out, err = capsys.readouterr()
     assert opened == [out.strip()] == [f"{FORGE}/robotkube/deployment/pulls/4"]
     assert "this is the forge's page of the plan" in err
+    assert "make web" not in err
+    assert "sign in" not in err
+
+
+def test_the_forges_page_is_had_beside_a_console(
+    platform: PlatformInMemory, opened: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """At the Service's address: its name, which the forge gives, is known in the cluster alone."""
+    platform.viewers.add("viewer")
+    assert cli.main(["open", "plan", "4", "--forge"]) == cli.EXIT_DONE
+    out, err = capsys.readouterr()
+    assert opened == [out.strip()] == [f"{FORGE}/robotkube/deployment/pulls/4"]
+    assert "sign in as viewer; the password: kubectl -n robotkube get secret forge-account-viewer -o json" in err
+
+
+def test_a_forge_outside_the_cluster_says_where_its_page_is(platform: PlatformInMemory, opened: list[str]) -> None:
+    del platform.services["forge"]
+    assert cli.main(["open", "plan", "4", "--forge"]) == cli.EXIT_DONE
+    assert opened == [INSIDE]
+
+
+def test_a_forge_that_was_built_without_its_pages_says_what_builds_them(
+    platform: PlatformInMemory, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(opening, "lacks_pages", lambda forge: forge == FORGE)
+    assert cli.main(["open", "plan", "4", "--forge", "--print"]) == cli.EXIT_DONE
+    said = "`make web` builds them, the next `make demo` serves them; `robotkube trace 20261118-1` shows the plan here"
+    assert said in capsys.readouterr().err
+
+
+@pytest.fixture
+def forge() -> Iterator[tuple[str, set[str]]]:
+    """The address of a server, and the paths that it has."""
+    paths: set[str] = set()
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200 if self.path in paths else 404)
+            self.send_header("Content-Length", "0")
+            self.end_headers()
+
+        def log_message(self, format: str, *args: Any) -> None:  # noqa: A002
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Handler) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_port}", paths
+        server.shutdown()
+        thread.join()
+
+
+def test_whether_a_forge_has_its_pages_is_asked(forge: tuple[str, set[str]]) -> None:
+    address, paths = forge
+    assert opening.lacks_pages(address)
+    paths.add("/assets/licenses.txt")
+    assert not opening.lacks_pages(address)
+    assert not opening.lacks_pages("http://127.0.0.1:9")
 
 
 @pytest.mark.parametrize(
@@ -145,6 +211,8 @@ def test_without_a_console_a_plan_is_seen_at_the_forge(
     [
         (["why"], cli.EXIT_USAGE, "open why: name which one, such as `robotkube open why cloud-0/meeting`"),
         (["fleet", "x"], cli.EXIT_USAGE, "the fleet has no ID"),
+        (["fleet", "--forge"], cli.EXIT_USAGE, "open fleet --forge: the forge has pages of plans alone"),
+        (["plan", "20261118-2", "--forge"], cli.EXIT_REFUSED, "plan 20261118-2 has no pull request yet"),
         (["why", "nothing"], cli.EXIT_REFUSED, "no event, task, plan, pod, release or commit nothing is known"),
         (["plan", "99"], cli.EXIT_REFUSED, "the manager remembers no plan 99"),
         (["recording", "r1"], cli.EXIT_REFUSED, "the console shows no recordings; `robotkube recording show r1` does"),

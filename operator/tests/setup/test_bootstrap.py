@@ -153,6 +153,8 @@ def test_teams_give_the_fewest_rights(installation: Installation) -> None:
     teams = {f"{team.organisation}/{team.name}": team for team in plan_teams(installation.setup)}
     assert teams["robotkube/deployment-read"].members == {"manager", "argocd"}
     assert teams["robotkube/deployment-write"].members == {"gate", "operator-team", "reviewer"}
+    assert teams["robotkube/deployment-pulls"].members == {"viewer"}
+    assert teams["robotkube/deployment-pulls"].units == {"repo.pulls": "read"}
     assert teams["robotkube/catalogue-read"].members == {"manager", "publisher"}
     assert teams["robotkube/catalogue-write"].members == {"gate", "operator-team", "reviewer"}
     assert teams["robotkube/packages-write"].members == {"image-publisher"}

@@ -291,11 +291,13 @@ def test_the_bootstrap_says_what_is_wrong(world: BootstrapStage, tmp_path: Path)
     settings["database"]["kind"] = "oracle"
     settings["forge"]["repositories"][0]["seed"] = str(tmp_path / "nowhere")
     settings["forge"]["repositories"][0]["access"]["manager"] = "admin"
+    settings["forge"]["organisations"][0]["packages"] = {"manager": "pulls"}
     settings["wait_seconds"] = 0
     code, found = run_bootstrap(world, tmp_path, settings)
     assert code == 2
     text = found[-1]["error"]
-    for part in ("database.kind: must be one of", "repositories[0].seed", "access.manager: must be read or write"):
+    access = ("access.manager: must be pulls, read or write", "packages.manager: must be read or write")
+    for part in ("database.kind: must be one of", "repositories[0].seed", *access):
         assert part in text
     assert "wait_seconds: must be a whole number" in text
 

@@ -211,6 +211,16 @@ class Platform:
             trust_text(self.authorities())
         return f"{'https' if encrypted else 'http'}://{spec['clusterIP']}:{spec['ports'][0]['port']}"
 
+    def forge_secret(self, account: str) -> str:
+        """How kubectl gets the Secret of one of the forge's accounts; empty when there is none, or when it may not be
+        read."""
+        name = f"forge-account-{account}"
+        try:
+            self._read("GET", f"/api/v1/namespaces/{self._namespace}/secrets/{name}")
+        except (InputError, KeyError):
+            return ""
+        return f"-n {self._namespace} get secret {name}"
+
     def evidence_keys(self) -> Mapping[str, str]:
         """The public keys that this installation trusts, as PEM texts by file name; InputError when it names none."""
         given = self._config_map(EVIDENCE_KEYS)

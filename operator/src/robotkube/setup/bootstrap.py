@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -31,6 +31,7 @@ from robotkube.setup.adapters.argocd_configuration import KubernetesArgoCDConfig
 from robotkube.setup.adapters.gitea_administration import GiteaAdministration
 from robotkube.setup.loops.bootstrap import (
     LEVELS,
+    UNITS,
     ArgoCDSetup,
     Bootstrap,
     DatabaseAccount,
@@ -193,14 +194,15 @@ def _account(reader: Reader, value: Any, path: str) -> ForgeAccount:
 def _organisation(reader: Reader, value: Any, path: str) -> Organisation:
     values = reader.mapping(value, path, ["name", "packages"])
     name = reader.word(values.get("name"), f"{path}.name", WORD)
-    return Organisation(name, _levels(reader, values.get("packages"), f"{path}.packages"))
+    return Organisation(name, _access(reader, values.get("packages"), f"{path}.packages", LEVELS))
 
 
-def _levels(reader: Reader, value: Any, path: str) -> Mapping[str, str]:
+def _access(reader: Reader, value: Any, path: str, levels: Sequence[str]) -> Mapping[str, str]:
+    words = " or ".join([", ".join(levels[:-1]), levels[-1]])
     if not isinstance(value, Mapping):
-        reader.problems.append(f"{path}: must be a mapping of accounts to read or write")
+        reader.problems.append(f"{path}: must be a mapping of accounts to {words}")
         return {}
-    reader.problems += [f"{path}.{name}: must be read or write" for name, level in value.items() if level not in LEVELS]
+    reader.problems += [f"{path}.{name}: must be {words}" for name, level in value.items() if level not in levels]
     return value
 
 
@@ -211,7 +213,7 @@ def _repository(reader: Reader, value: Any, path: str) -> Repository:
         description=reader.prose(values.get("description"), f"{path}.description"),
         branch=reader.word(values.get("branch"), f"{path}.branch", WORD),
         seed=_seed(reader, reader.word(values.get("seed"), f"{path}.seed", files.PATH), f"{path}.seed"),
-        access=_levels(reader, values.get("access"), f"{path}.access"),
+        access=_access(reader, values.get("access"), f"{path}.access", tuple(UNITS)),
         main=tuple(
             reader.word(item, f"{path}.main", WORD) for item in reader.sequence(values.get("main"), f"{path}.main")
         ),

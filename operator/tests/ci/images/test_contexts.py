@@ -1,6 +1,7 @@
 """What an image is keyed by, and what a machine lends to a build."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -60,6 +61,14 @@ def test_modes_depend_on_the_program_bit_alone(source: Path, tmp_path: Path) -> 
 
 def sources_in(folder: Path) -> Sources:
     return Sources(folder, lambda path, module: folder, lambda: folder)
+
+
+def test_the_forges_image_has_its_pages_where_they_were_built(tmp_path: Path) -> None:
+    """And is the same as before where they were not."""
+    without = sources_in(tmp_path)
+    pages = replace(without, forge_pages=tmp_path / "pages")
+    more = {*BY_NAME["gitea"].contents(pages)} - {*BY_NAME["gitea"].contents(without)}
+    assert more == {Copied(tmp_path / "pages", "share/gitea/public/assets")}
 
 
 def test_a_missing_program_is_named_with_what_makes_it(tmp_path: Path) -> None:

@@ -401,7 +401,7 @@ def test_the_commands_to_look_around_are_whole(scenario: definition.Scenario) ->
     found = list(inspection.commands(scenario, Path("kubeconfig"), Endpoint("10.96.0.9", 3000)))
     assert all(shlex.split(command) for _, command in found)
     text = "\n".join(inspection.lines(scenario, Path("kubeconfig"), Endpoint("10.96.0.9", 3000)))
-    assert "front ends that are not built here" in text
+    assert "open plan N --forge` opens a pull request's page" in text
     assert "{person}" not in text
     by_tls = dict(inspection.commands(scenario, Path("kubeconfig"), Endpoint("10.96.0.9", 3000, encrypted=True)))
     [clone] = [command for command in by_tls.values() if "git" in command and "clone" in command]

@@ -10,7 +10,7 @@ import pytest
 from tests.stages import http_calls
 from tests.stages.attacks import shown
 from tests.stages.forge.gitea import HOOKS
-from tests.stages.forge.installation import ACCOUNTS, Installation, message, release_files
+from tests.stages.forge.installation import ACCOUNTS, VIEWER, Installation, message, release_files
 from tests.stages.waiting import until
 
 pytestmark = pytest.mark.toolchain
@@ -221,6 +221,61 @@ def test_a_person_moves_main_in_no_other_way(installation: Installation, reposit
         assert (answer.status_code, "Cannot commit to protected branch" in answer.text) == (400, True)
     assert person.delete(f"refs/heads/{branch}") == ""
     assert person.tip() == tip
+
+
+@pytest.mark.parametrize("repository", REPOSITORIES)
+def test_who_sees_pull_requests_alone_reads_them_and_nothing_else(installation: Installation, repository: str) -> None:
+    own, number, commit = open_change(installation, repository)
+    with own, closing(page_of(installation, VIEWER)) as page:
+        for path in ("", "/files", "/commits"):
+            assert page.get(f"/{repository}/pulls/{number}{path}").status_code == 200
+        assert "topic" not in page.get(f"/{repository}").text
+        for path in ("src/branch/main", f"commit/{commit}", "raw/branch/main/README.md", "settings"):
+            assert page.get(f"/{repository}/{path}").status_code == 404
+        own.auth = httpx.BasicAuth(VIEWER, installation.passwords[VIEWER])
+        for path in ("/contents/README.md", "/branches", "/commits", "/git/trees/main", "/archive/main.zip", "/pulls"):
+            assert own.get(path).status_code in (403, 404)
+        git = f"{installation.url}/{repository}.git/info/refs"
+        for service in ("git-upload-pack", "git-receive-pack"):
+            answer = http_calls.get(git, params={"service": service}, auth=own.auth)
+            assert answer.status_code in (401, 403, 404)
+
+
+@pytest.mark.parametrize("repository", REPOSITORIES)
+def test_who_sees_pull_requests_alone_neither_proposes_nor_approves(
+    installation: Installation, repository: str
+) -> None:
+    """Else one person could propose in this name, and approve in his own."""
+    own, number, commit = open_change(installation, repository)
+    branch = f"person-{secrets.token_hex(3)}"
+    person = installation.clone("operator-team", repository)
+    mine = person.commit({"README.md": branch}, "mine\n", [person.tip()])
+    assert person.push(mine, f"refs/heads/{branch}") == ""
+    viewer = installation.clone(VIEWER, repository)
+    copied = viewer.repository.odb
+    copied.add_disk_alternate(f"{person.repository.path}objects")
+    for reference in ("refs/for/main", "refs/heads/main", "refs/heads/of-viewer", f"refs/heads/{branch}"):
+        assert viewer.push(mine, reference, ["topic=viewed", "title=viewed"]) != ""
+    with own:
+        own.auth = httpx.BasicAuth(VIEWER, installation.passwords[VIEWER])
+        opened = own.post("/pulls", json={"base": "main", "head": branch, "title": "viewed"})
+        assert opened.status_code in (403, 404), opened.text
+        review = {"event": "APPROVED", "commit_id": commit, "body": "seen"}
+        given = own.post(f"/pulls/{number}/reviews", json=review)
+        assert given.status_code in (403, 404) or given.json()["official"] is False
+        for method, path, body in (
+            ("POST", f"/pulls/{number}/merge", {"Do": "merge"}),
+            ("PATCH", f"/pulls/{number}", {"state": "closed"}),
+            ("POST", "/contents/x.txt", {"content": "eA==", "message": "x", "branch": "main"}),
+        ):
+            assert own.request(method, path, json=body).status_code in (403, 404, 405), path
+        with closing(page_of(installation, VIEWER)) as page:
+            answer = page.post(f"/{repository}/compare/main...{branch}", data={"title": "viewed"})
+            assert answer.status_code in (400, 403, 404)
+        own.auth = httpx.BasicAuth("operator-team", installation.passwords["operator-team"])
+        opened = own.get("/pulls", params={"state": "all", "limit": 50}).json()
+        assert "viewed" not in {one["title"] for one in opened}
+    assert person.delete(f"refs/heads/{branch}") == ""
 
 
 @pytest.mark.parametrize("repository", [*REPOSITORIES, "RobotKube/Deployment"])

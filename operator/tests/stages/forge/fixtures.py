@@ -3,6 +3,7 @@
 import secrets
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -65,6 +66,13 @@ def installation(shared_installation: Installation) -> Iterator[Installation]:
 def own_installation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Installation]:
     """A forge of the module's own, with an installation: for tests after which main is not what others expect."""
     process = ForgeProcess(tmp_path_factory.mktemp("own-forge"))
+    with installed(process, tmp_path_factory.mktemp("own-clones")) as installation:
+        yield installation
+
+
+@contextmanager
+def installed(process: ForgeProcess, folder: Path) -> Iterator[Installation]:
+    """An installation on a forge that is started for it and gone afterwards; clones stand in `folder`."""
     process.start()
     made = GiteaAdministration(process.url, process.administrator, process.administrator_password)
     passwords = {name: secrets.token_hex(12) for name in ACCOUNTS}
@@ -72,7 +80,7 @@ def own_installation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Insta
     setup = forge_setup(passwords, f"http://127.0.0.1:{port}/webhook")
     Bootstrap(30, time.monotonic, time.sleep).forge(setup, made)
     made.disconnect()
-    installation = Installation(process.url, passwords, port, tmp_path_factory.mktemp("own-clones"), setup)
+    installation = Installation(process.url, passwords, port, folder, setup)
     yield installation
     installation.disconnect()
     process.remove()

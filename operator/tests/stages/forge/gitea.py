@@ -103,6 +103,7 @@ class ForgeProcess:
     port: int = field(default_factory=free_port)
     process: subprocess.Popen[bytes] | None = None
     environment: dict[str, str] = field(default_factory=dict)
+    static: Path | None = None  # with what its pages load; None: as its module has it
 
     @property
     def url(self) -> str:
@@ -152,8 +153,9 @@ class ForgeProcess:
 
     def _write_configuration(self) -> None:
         user = subprocess.run(["id", "-un"], capture_output=True, text=True, check=True).stdout.strip()
+        static = self.static or toolchain.gitea_static("templates").parent
         text = APP_INI.format(
-            user=user, data=self.data, port=self.port, url=self.url, static=toolchain.gitea_static("templates").parent,
+            user=user, data=self.data, port=self.port, url=self.url, static=static,
             secret=secrets.token_hex(32), token=secrets.token_hex(32), hooks=HOOKS, rights=RIGHTS.read_text().strip(),
         )  # fmt: skip
         (self.data / "app.ini").write_text(text)

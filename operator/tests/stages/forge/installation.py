@@ -50,9 +50,10 @@ from tests.stages.paths import REPOSITORY
 from tests.stages.programs import free_port
 
 END_SECONDS_MAX = 20.0
+VIEWER = "viewer"  # of the embedded cluster alone
 ACCOUNTS = (
     *("manager", "gate", "argocd", "publisher", "image-publisher", "suite-runner", "inspector", "nodes", "rights"),
-    *("operator-team", "reviewer"),
+    *("operator-team", "reviewer", VIEWER),
 )
 PACKAGES: Mapping[str, Mapping[str, str]] = {
     "robotkube": {"image-publisher": "write", "gate": "read", "suite-runner": "read", "nodes": "read"},
@@ -106,7 +107,14 @@ def forge_setup(passwords: Mapping[str, str], gate_url: str, webhook_secret: str
                 "What runs on the fleet",
                 "main",
                 {path: text.encode() for path, text in DEPLOYMENT.items()},
-                {"manager": "read", "gate": "write", "argocd": "read", "operator-team": "write", "reviewer": "write"},
+                {
+                    "manager": "read",
+                    "gate": "write",
+                    "argocd": "read",
+                    VIEWER: "pulls",
+                    "operator-team": "write",
+                    "reviewer": "write",
+                },
                 ("gate",),
             ),
             Repository(
@@ -118,6 +126,7 @@ def forge_setup(passwords: Mapping[str, str], gate_url: str, webhook_secret: str
                     "manager": "read",
                     "gate": "write",
                     "publisher": "read",
+                    VIEWER: "pulls",
                     "operator-team": "write",
                     "reviewer": "write",
                 },

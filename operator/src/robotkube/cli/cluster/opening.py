@@ -1,7 +1,8 @@
 """The command `robotkube open`: the address at which the fleet, the reasons of something, a plan or a recording is
 seen, opened in a browser.
 
-That is the console; where there is none, the forge's page of a plan, and for the rest the command that shows it.
+That is the console; where there is none, or who opens it wants that, the forge's page of a plan, and for the rest the
+command that shows it.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ import webbrowser
 from collections.abc import Mapping, Sequence
 from typing import Any
 from urllib.parse import quote
+
+import urllib3
 
 from robotkube.cli.output import Table
 from robotkube.cli.platform import Platform
@@ -24,6 +27,9 @@ DEPLOYMENT = "robotkube/deployment"
 FLEET, WHY, PLAN, RECORDING = "fleet", "why", "plan", "recording"
 KINDS = ("event", "task", "plan", "pod", "release", "commit")
 TLS_PORTS = (443, 8443)
+FORGE_SECONDS_MAX = 3.0
+PAGES_MADE = "/assets/licenses.txt"  # there with all that the forge's pages load, and served without signing in
+VIEWER = "viewer"  # the account of the embedded cluster that sees pull requests and nothing else
 
 Document = Mapping[str, Any]
 
@@ -43,6 +49,9 @@ def naming(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--print", action="store_true", help="only print the address")
     parser.add_argument("--console-url", metavar="URL", help="the console (default: its Service in the cluster)")
+    parser.add_argument(
+        "--forge", action="store_true", help="with plan: its pull request at the forge, also where there is a console"
+    )
 
 
 def open_page(options: argparse.Namespace) -> Table:
@@ -52,9 +61,13 @@ def open_page(options: argparse.Namespace) -> Table:
         raise InputError(f"open fleet {options.id}: the fleet has no ID; leave it out, or write open why {options.id}")
     if options.what != FLEET and not options.id:
         raise InputError(f"open {options.what}: name which one, such as `robotkube open {EXAMPLES[options.what]}`")
+    if options.forge and options.what != PLAN:
+        raise InputError(f"open {options.what} --forge: the forge has pages of plans alone; write open plan ID --forge")
     platform = Platform(options)
     console = options.console_url or console_address(platform)
-    if console:
+    if options.forge:
+        address = _at_forge(platform, named_plan(options.id, platform.page("/plans")["plans"]))
+    elif console:
         address = console.rstrip("/") + _path(platform, options.what, options.id)
     else:
         address = _without_console(platform, options)
@@ -132,4 +145,37 @@ def _without_console(platform: Platform, options: argparse.Namespace) -> str:
     if plan["pull_request"] is None:
         raise RefusalError("NoConsole", f"{missing}, and plan {plan['plan']} has no pull request yet")
     print(f"robotkube: {missing}; this is the forge's page of the plan", file=sys.stderr)
-    return str(plan.get("url") or f"{platform.forge_url()}/{DEPLOYMENT}/pulls/{plan['pull_request']}")
+    return _at_forge(platform, plan)
+
+
+def _at_forge(platform: Platform, plan: Document) -> str:
+    """The forge's page of a plan, at the Service of a forge in the cluster: its name, which the plan's own address has,
+    is known in the cluster alone. RefusalError: the plan has no pull request yet."""
+    if plan["pull_request"] is None:
+        raise RefusalError("NoPullRequest", f"plan {plan['plan']} has no pull request yet")
+    try:
+        forge = platform.forge_url()
+    except InputError:
+        if plan.get("url"):
+            return str(plan["url"])
+        raise
+    if lacks_pages(forge):
+        said = (
+            "the forge has no styles and scripts of its pages: `make web` builds them, the next `make demo` serves them"
+        )
+        print(f"robotkube: {said}; `robotkube trace {plan['plan']}` shows the plan here", file=sys.stderr)
+    secret = platform.forge_secret(VIEWER)
+    if secret:
+        command = f"kubectl {secret} -o jsonpath='{{.data.password}}' | base64 -d"
+        print(f"robotkube: sign in as {VIEWER}; the password: {command}", file=sys.stderr)
+    return f"{forge}/{DEPLOYMENT}/pulls/{plan['pull_request']}"
+
+
+def lacks_pages(forge: str) -> bool:
+    """Whether a forge was built without what its pages load; False also when it does not answer from here."""
+    try:
+        with urllib3.PoolManager() as pool:
+            answer = pool.request("GET", forge + PAGES_MADE, timeout=FORGE_SECONDS_MAX, retries=False, redirect=False)
+    except urllib3.exceptions.HTTPError:
+        return False
+    return answer.status == 404

@@ -18,6 +18,13 @@ from robotkube.setup.ports import ArgoCDConfiguration, DatabaseAdministration, F
 
 RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 1.0, 2.0
 LEVELS = ("read", "write")
+PULLS = "pulls"
+# What an access to a repository is in Gitea's units. Who sees pull requests alone can neither fetch, nor propose, which
+# takes the code.
+UNITS: Mapping[str, Mapping[str, str]] = {
+    PULLS: {"repo.pulls": "read"},
+    **{level: {"repo.code": level, "repo.pulls": level} for level in LEVELS},
+}
 HOOK_SECRET = "webhook.github.secret"  # noqa: S105 - the key; the gate sends hooks as GitHub does
 TRUSTED_SERVERS = "argocd-tls-certs-cm"
 # Argo CD takes the hooks of these forges unsigned while their keys have no value.
@@ -53,7 +60,7 @@ class Organisation:
 @dataclass(frozen=True)
 class Repository:
     """A repository `<organisation>/<name>`. `seed`: path -> content of the first commit, used only when it is empty;
-    `access`: account -> read | write; `main`: who may push the branch and merge pull requests."""
+    `access`: account -> pulls | read | write; `main`: who may push the branch and merge pull requests."""
 
     name: str
     description: str
@@ -138,8 +145,7 @@ def plan_teams(setup: ForgeSetup) -> tuple[Team, ...]:
     teams: list[Team] = []
     for repository in setup.repositories:
         short = repository.name.partition("/")[2]
-        for level in LEVELS:
-            units = {"repo.code": level, "repo.pulls": level}
+        for level, units in UNITS.items():
             members = _accounts(repository.access, level)
             teams.append(Team(repository.organisation, f"{short}-{level}", units, members, repository.name))
     for organisation in setup.organisations:

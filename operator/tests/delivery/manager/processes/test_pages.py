@@ -1,0 +1,99 @@
+"""A plan's pull request as a person sees it in a browser, on a forge with what `make web` has built."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from ci import web
+from ci.images.catalogue import BY_NAME, Sources, go_module
+from ci.images.contexts import assemble
+from robotkube.testing.clusters import MemoryTasks
+from tests.stages import http_calls
+from tests.stages.browser import Page, browsing
+from tests.stages.delivery.running_manager import RunningManager, start_manager
+from tests.stages.forge.fixtures import installed
+from tests.stages.forge.gitea import ForgeProcess
+from tests.stages.forge.installation import VIEWER, ApplicationSetController, Installation, start_gate
+from tests.stages.paths import REPOSITORY
+from tests.stages.waiting import until
+
+pytestmark = [pytest.mark.toolchain, pytest.mark.thorough]
+
+PICTURES = REPOSITORY / "build" / "pictures"
+KEY = "cloud-0/meeting"
+TASK = {
+    "requester": "cloud-0/event-detector",
+    "event": {"rule": "lidar-proximity", "id": "3f2a9c", "trace": "1e3" + "0" * 29, "time": "2026-11-21T10:00:00Z"},
+    "reason": "vehicle-00, vehicle-01 within 400 m",
+    "application": "pose-point-cloud-recording",
+    "parameters": {"vehicles": ["vehicle-00", "vehicle-01"]},
+}
+
+
+@pytest.fixture(scope="module")
+def installation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Installation]:
+    """On a forge with the files that its image has."""
+    context = tmp_path_factory.mktemp("context")
+    contents = BY_NAME["gitea"].contents(Sources(context, go_module, lambda: context, web.build()))
+    assemble(tuple(copied for copied in contents if copied.target.startswith("share/")), context)
+    process = ForgeProcess(tmp_path_factory.mktemp("forge"), static=context / "share" / "gitea")
+    with installed(process, tmp_path_factory.mktemp("clones")) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def manager(installation: Installation, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningManager]:
+    """With a plan for a task, which the gate has merged."""
+    controller = ApplicationSetController()
+    gate = start_gate(installation, controller.url, tmp_path_factory.mktemp("gate"))
+    started = start_manager(installation, tmp_path_factory.mktemp("manager"), MemoryTasks())
+    until(lambda: started.manager.reasons_not_ready() == [], "ready")
+    started.tasks.create("cloud-0", "meeting", TASK)
+    until(lambda: started.tasks.condition(KEY, "Committed") == ("True", "Merged"), "committed")
+    yield started
+    started.stop()
+    gate.stop()
+    controller.stop()
+
+
+@pytest.fixture
+def page(installation: Installation, tmp_path: Path) -> Iterator[Page]:
+    with browsing(tmp_path) as page:
+        page.open(f"{installation.url}/user/login")
+        page.submit("form.form", {"user_name": VIEWER, "password": installation.passwords[VIEWER]})
+        yield page
+
+
+def test_reasons_and_evidence_of_a_plan_are_seen(
+    installation: Installation, manager: RunningManager, page: Page
+) -> None:
+    number = manager.tasks.objects[KEY]["status"]["pullRequest"]["number"]
+    until(lambda: installation.pull_request(number)["merged"], "marked merged by the forge")
+    page.open(f"{installation.url}/robotkube/deployment/pulls/{number}")
+    page.photograph(PICTURES / "pull-request.png")
+    assert "deploy(recording): vehicle-00, vehicle-01 within 400 m" in page.text
+    headings = page.evaluate("[...document.querySelectorAll('.render-content h2')].map(one => one.innerText.trim())")
+    assert headings == ["Asked", "Decided", "Changes", "Evidence"]
+    assert "cloud-0/meeting asks for pose-point-cloud-recording (rule lidar-proximity, event 3f2a9c)" in page.text
+    evidence = page.evaluate("[...document.querySelectorAll('.render-content li')].map(one => one.innerText)")
+    assert any("event-detector 0.2.2: passed" in line and "summary sha256:" in line for line in evidence)
+    assert "gate manually merged commit" in page.text
+    page.open(f"{installation.url}/robotkube/deployment/pulls/{number}/files")
+    page.photograph(PICTURES / "pull-request-files.png")
+    assert "releases/cloud-0/recorder-vehicle-00-vehicle-01.yaml" in page.text
+    assert page.failures == []
+
+
+def test_the_pages_have_what_they_load(installation: Installation, page: Page) -> None:
+    """And it is by that that the command line knows whether they were built."""
+    assert http_calls.get(f"{installation.url}/assets/licenses.txt").status_code == 200
+    page.open(f"{installation.url}/robotkube/deployment/pulls")
+    page.photograph(PICTURES / "pull-requests.png")
+    sheets = page.evaluate("[...document.styleSheets].map(one => one.cssRules.length)")
+    assert min(sheets) > 0
+    assert sum(sheets) > 1000
+    assert page.evaluate("document.querySelectorAll('svg').length") > 0
+    assert page.failures == []
