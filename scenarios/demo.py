@@ -24,6 +24,7 @@ from scenarios.definition import Scenario, ScenarioError
 from scenarios.generator import routes
 from scenarios.runner import driving, running
 from scenarios.runner.access import Access
+from scenarios.runner.inspection import ROBOTKUBE
 
 STOPS = ("cluster", "platform", "scenario")
 STEPS = {"cluster": 3, "platform": 6, "scenario": 7}
@@ -79,14 +80,20 @@ def bring_up(request: Request, steps: Steps) -> Installer:
         return installer
     with steps.step("Argo CD"):
         installer.argocd(prepared.references())
-    with steps.step("platform"):
+    with steps.step("platform") as step:
         installer.platform(prepared.references(), wanted, values=request.values)
+        step.progress(where_to_look(installer.console()))
         nodes = publish.find_forge(kubeconfig, publish.PULL_ACCOUNT)
         provider.pull_from(nodes.url, nodes.username, nodes.password)
     with steps.step("catalogue") as step:
         published = publish.publish(kubeconfig, step.progress, request.kept, settled.extra_charts)
         step.note = published.outcome.verdict
     return installer
+
+
+def where_to_look(console: str) -> str:
+    """The sentence that says where the fleet is seen."""
+    return f"The console shows the fleet: {console}" if console else f"No console; `{ROBOTKUBE} watch` shows the fleet."
 
 
 def run(request: Request) -> int:
@@ -100,6 +107,7 @@ def run(request: Request) -> int:
     with steps.step("scenario", of=request.described):
         seconds = dict(steps.seconds)
         code = running.run(request.scenario, provider, request.settings, request.variant, set_up_seconds=seconds)
+    print(where_to_look(installer.console()))
     if request.driving:
         driving.drive(Access(provider.kubeconfig()), request.settled(), request.driving, print)
     return code

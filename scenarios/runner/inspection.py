@@ -16,8 +16,8 @@ WEB_PAGES = (
 )
 ROBOTKUBE = "ci/python -m robotkube.cli"
 SEEING = (
-    f"`{ROBOTKUBE} watch` shows what happens as it happens, until ctrl-C; `{ROBOTKUBE} open` opens the console, or "
-    "says what shows the same."
+    f"`{ROBOTKUBE} watch` shows what happens as it happens, until ctrl-C; `{ROBOTKUBE} open fleet` opens the console, "
+    "or says what shows the same."
 )
 
 
