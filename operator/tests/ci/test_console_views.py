@@ -5,13 +5,24 @@ from __future__ import annotations
 
 import shutil
 import threading
+import time
 from http.server import ThreadingHTTPServer
 
 import pytest
 
 from ci import console
 from ci.folders import PROJECT
+from robotkube.delivery.console.adapters.web.application import Console, ConsoleSurroundings
+from robotkube.delivery.console.adapters.web.page_files import read_files
+from robotkube.delivery.console.adapters.web.people import People
+from robotkube.delivery.console.adapters.web.server import AsgiServer
+from robotkube.delivery.console.core import table as kinds
+from robotkube.delivery.console.core.links import BridgeReading, LinkRates
+from tests.delivery.console import documents as given
+from tests.delivery.console.people import PlatformInMemory
+from tests.delivery.console.test_web import filled
 from tests.stages.console.__main__ import MODES, Handler
+from tests.stages.console.documents import PARAMETERS
 from tests.stages.console.synthetic import Fleet
 
 pytestmark = [
@@ -20,6 +31,31 @@ pytestmark = [
     pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Debian's chromium: apt-get install chromium"),
 ]
 PICTURES = PROJECT / "build" / "console" / "views"
+
+
+def test_a_way_through_the_page_of_the_consoles_own_process() -> None:
+    """With its headers, its Content-Security-Policy among them, and questions in a browser's own words."""
+    model = filled()
+    model.now_ms = lambda: time.time_ns() // 1_000_000
+    model.put_source("broker", "", "", ())
+    reading = BridgeReading(0, {("out", "/list"): {"messages_total": 1.0}})
+    model.replace(kinds.LINKS, LinkRates().documents("cloud-0/mqtt-bridge", reading))
+    catalogue = {"entries": [{**given.CATALOGUE["entries"][0], "parameters": PARAMETERS}]}
+    model.put_catalogue("manager", catalogue)
+    around = ConsoleSurroundings(["localhost"], files=read_files(console.build()))
+    platform = PlatformInMemory()
+    running = Console(model, People(None), platform.asking, around)
+    server = AsgiServer(running.app, "127.0.0.1", 0)
+    server.start()
+    try:
+        url = f"http://localhost:{server.port}/"
+        said = console.browse("smoke", url, "cloud-0", "recording", "vehicles=vehicle-00", str(PICTURES))
+    finally:
+        running.streams.stop()
+        server.stop()
+    assert "as they should be" in said
+    [(_, question)] = platform.questions
+    assert question["spec"]["parameters"] == {"vehicles": ["vehicle-00"]}
 
 
 @pytest.mark.parametrize("mode", MODES)
