@@ -71,5 +71,5 @@ def test_a_demo_ends_with_where_the_fleet_is_seen(
     monkeypatch.setattr(Installed, "address", address)
     monkeypatch.setattr(demo, "bring_up", lambda request, steps: Installed(Path(), Path("kubeconfig"), Path()))
     monkeypatch.setattr(demo.running, "run", lambda *arguments, **named: 0)
-    assert demo.run(demo.Request(Path("scenario"), {}, "demo", "scenario")) == 0
+    assert demo.run(demo.Request(Path("scenario"), {}, demo.Choice(), "scenario")) == 0
     assert capsys.readouterr().out.splitlines()[-1] == said

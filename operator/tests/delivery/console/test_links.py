@@ -133,7 +133,7 @@ def test_a_page_of_something_else_is_a_problem() -> None:
 
 def test_a_bridge_that_tells_without_end_or_of_no_numbers_keeps_nobody_from_reading() -> None:
     bridges = Bridges()
-    many = (f"robotkube_bridge_messages_total{{direction=\"in\",topic=\"/{n}\"}} 1\n" for n in range(2000))
+    many = (f'robotkube_bridge_messages_total{{direction="in",topic="/{n}"}} 1\n' for n in range(2000))
     links = bridges.read(page(0) + "".join(many))
     assert len(links) == LINKS_MAX
     bridges.pages[NOT_CARRIED] = ["x" * 5000] * 500

@@ -213,6 +213,11 @@ def _demanded(table: ItemTable, release: Document) -> Document:
     return {**release, "demands": sorted(demands)}
 
 
+def _teller(item: Document) -> str:
+    """The namespace of the detector that told of an event or a recording."""
+    return str(item["detector"]).partition("/")[0]
+
+
 def _bound(table: ItemTable, kind: str, most: int, lasts: Callable[[Document], bool]) -> None:
     """Items of detectors go when there are more than `most`: of the agent whose detectors told most, those that do not
     last any more, then the oldest. Who tells without end so loses his own."""
@@ -222,7 +227,7 @@ def _bound(table: ItemTable, kind: str, most: int, lasts: Callable[[Document], b
     newest_first = sorted(items, key=lambda key: (lasts(items[key]), items[key]["began_ms"] or 0))[::-1]
     told: dict[str, list[str]] = {}
     for key in newest_first:
-        told.setdefault(str(items[key]["detector"]).partition("/")[0], []).append(key)
+        told.setdefault(_teller(items[key]), []).append(key)
     for _ in range(len(items) - most):
         table.remove(kind, max(told.values(), key=len).pop())
 
