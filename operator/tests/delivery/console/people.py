@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from robotkube.delivery.console.adapters.web.asking import Asking
+from robotkube.delivery.console.adapters.web.asking import AskedParties
 from robotkube.delivery.console.core.signing_in import Person
 from robotkube.errors import RobotKubeError
 
@@ -33,9 +33,9 @@ class PlatformInMemory:
         self.error: RobotKubeError | None = None
 
     @property
-    def asking(self) -> Asking:
+    def asking(self) -> AskedParties:
         """The console's side of it, with two managers."""
-        return Asking({"manager": MANAGER, "south": "http://south:8080"}, self, self)
+        return AskedParties({"manager": MANAGER, "south": "http://south:8080"}, self, self)
 
     def ask(self, url: str, question: Mapping[str, Any]) -> Mapping[str, Any]:
         self._fail()

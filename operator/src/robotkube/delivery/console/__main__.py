@@ -20,7 +20,7 @@ from robotkube.delivery.console.adapters.cluster_watches import ClusterWatches, 
 from robotkube.delivery.console.adapters.http_pages import AGENT_PAGE_BYTES_MAX, HttpPages
 from robotkube.delivery.console.adapters.peoples_tasks import ImpersonatedTasks
 from robotkube.delivery.console.adapters.web.application import Console, ConsoleSurroundings
-from robotkube.delivery.console.adapters.web.asking import Asking
+from robotkube.delivery.console.adapters.web.asking import AskedParties
 from robotkube.delivery.console.adapters.web.page_files import read_files
 from robotkube.delivery.console.adapters.web.people import People
 from robotkube.delivery.console.adapters.web.server import AsgiServer
@@ -62,7 +62,7 @@ class ConsoleProcess:
         around = ConsoleSurroundings(configuration.hosts, encrypted, configuration.links, page)
         people = People(sign_in, writers=configuration.writers)
         managers = {manager.name: manager.url for manager in configuration.managers}
-        asking = Asking(managers, self._pages, ImpersonatedTasks(api))
+        asking = AskedParties(managers, self._pages, ImpersonatedTasks(api))
         self.console = Console(self.model, people, asking, around)
         self.server = AsgiServer(
             self.console.app, configuration.listen.address, configuration.listen.port, configuration.proxies

@@ -18,7 +18,7 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response, Strea
 from starlette.routing import Route
 
 from robotkube.delivery.console.adapters.web import streams
-from robotkube.delivery.console.adapters.web.asking import Asking, TaskRequests
+from robotkube.delivery.console.adapters.web.asking import AskedParties, TaskRequests
 from robotkube.delivery.console.adapters.web.encoding import snapshot_text
 from robotkube.delivery.console.adapters.web.guarding import Guard
 from robotkube.delivery.console.adapters.web.page_files import PageFile, file_response
@@ -51,7 +51,9 @@ class ConsoleSurroundings:
 class Console:
     """The application (`app`, ASGI) over a model."""
 
-    def __init__(self, model: ModelReading, people: People, asking: Asking, surroundings: ConsoleSurroundings) -> None:
+    def __init__(
+        self, model: ModelReading, people: People, asking: AskedParties, surroundings: ConsoleSurroundings
+    ) -> None:
         self._model = model
         self._people = people
         self._requests = TaskRequests(people, asking)

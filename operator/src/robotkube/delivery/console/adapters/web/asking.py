@@ -37,7 +37,7 @@ log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class Asking:
+class AskedParties:
     """Whom to ask: the managers' addresses by name, the first of which answers unless another is named; what they
     answer; and who writes."""
 
@@ -49,7 +49,7 @@ class Asking:
 class TaskRequests:
     """The requests about tasks of one console."""
 
-    def __init__(self, people: People, asking: Asking, monotonic: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, people: People, asking: AskedParties, monotonic: Callable[[], float] = time.monotonic) -> None:
         self._people = people
         self._asking = asking
         self._monotonic = monotonic
