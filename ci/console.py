@@ -4,6 +4,9 @@
     python -m ci.console check    types, form and unit tests of the page's sources
     python -m ci.console develop  the packages and generated types into operator/console, for editors and `vite`
 
+Scripts of its folder `browser` drive the page in a browser, for tests; playwright-core, among the packages, has none of
+its own.
+
 Node and npm are a wheel that operator/requirements/console.txt pins, packages those of package-lock.json. The machine's
 own Node is not used.
 """
@@ -82,6 +85,14 @@ def findings() -> list[str]:
     return []
 
 
+def browse(script: str, *arguments: str) -> str:
+    """Run a script of operator/console/browser, which drives Debian's Chromium; what it says. InputError with that
+    when it fails."""
+    program, _ = node()
+    with _workshop() as workshop:
+        return _run(workshop, f"browser/{script}.mjs", [program, f"browser/{script}.mjs", *arguments])
+
+
 def develop() -> None:
     """Link the packages into operator/console, and write the generated types there."""
     link = SOURCES / "node_modules"
@@ -144,18 +155,23 @@ def _npm_run(folder: Path, *scripts: str) -> None:
 
 def _npm(folder: Path, *arguments: str) -> None:
     program, npm = node()
+    _run(folder, f"npm {' '.join(arguments)}", [program, npm, *arguments])
+
+
+def _run(folder: Path, what: str, command: Sequence[str]) -> str:
+    """What Node says; InputError with that when it fails."""
     # scripts of package.json find `node` on the PATH
-    path = os.pathsep.join([str(Path(program).parent), os.environ["PATH"]])
+    path = os.pathsep.join([str(Path(command[0]).parent), os.environ["PATH"]])
     variables = {**os.environ, "PATH": path, "CI": "true", "NO_COLOR": "1"}
-    command = [program, npm, *arguments]
     try:
         done = subprocess.run(
             command, cwd=folder, env=variables, capture_output=True, text=True, timeout=SECONDS_MAX, check=False
         )
     except (subprocess.TimeoutExpired, OSError) as error:
-        raise SetUpError(f"operator/console: npm {' '.join(arguments)}: {error}") from error
+        raise SetUpError(f"operator/console: {what}: {error}") from error
     if done.returncode:
-        raise InputError(f"operator/console: npm {' '.join(arguments)}:\n{(done.stdout + done.stderr).strip()}")
+        raise InputError(f"operator/console: {what}:\n{(done.stdout + done.stderr).strip()}")
+    return done.stdout
 
 
 def _forget_old() -> None:

@@ -142,6 +142,12 @@ class Installer:
         if chart == CHART:  # until then an older gate had the key there
             self.kubectl("-n", NAMESPACE, "delete", "secret", KEY_SECRET, "--ignore-not-found")
 
+    def console(self) -> str:
+        """The console's address, which this machine reaches; empty where the chart was installed without one."""
+        where = "jsonpath={.spec.clusterIP}:{.spec.ports[0].port}"
+        found = self.kubectl("-n", NAMESPACE, "get", "service", "console", "--ignore-not-found", "-o", where)
+        return f"http://{found.strip()}/" if found.strip() else ""
+
     def bind_claims(self) -> None:
         """Bind volume claims of agents with one node now. Left to the first pod, the scheduler checks once in a second
         whether the volume that it chose is bound: the first event's recorder started that much later."""

@@ -24,6 +24,7 @@ from scenarios.definition import Scenario, ScenarioError
 from scenarios.generator import routes
 from scenarios.runner import driving, running
 from scenarios.runner.access import Access
+from scenarios.runner.inspection import ROBOTKUBE
 
 STOPS = ("cluster", "platform", "scenario")
 STEPS = {"cluster": 3, "platform": 6, "scenario": 7}
@@ -79,8 +80,9 @@ def bring_up(request: Request, steps: Steps) -> Installer:
         return installer
     with steps.step("Argo CD"):
         installer.argocd(prepared.references())
-    with steps.step("platform"):
+    with steps.step("platform") as step:
         installer.platform(prepared.references(), wanted, values=request.values)
+        step.progress(where_to_look(installer.console()))
         nodes = publish.find_forge(kubeconfig, publish.PULL_ACCOUNT)
         believed = publish.authorities(kubeconfig) if nodes.url.startswith("https://") else ""
         provider.pull_from(nodes.url, nodes.username, nodes.password, believed)
@@ -88,6 +90,11 @@ def bring_up(request: Request, steps: Steps) -> Installer:
         published = publish.publish(kubeconfig, step.progress, request.kept, settled.extra_charts)
         step.note = published.outcome.verdict
     return installer
+
+
+def where_to_look(console: str) -> str:
+    """The sentence that says where the fleet is seen."""
+    return f"The console shows the fleet: {console}" if console else f"No console; `{ROBOTKUBE} watch` shows the fleet."
 
 
 def run(request: Request) -> int:
@@ -101,6 +108,7 @@ def run(request: Request) -> int:
     with steps.step("scenario", of=request.described):
         seconds = dict(steps.seconds)
         code = running.run(request.scenario, provider, request.settings, request.variant, set_up_seconds=seconds)
+    print(where_to_look(installer.console()))
     if request.driving:
         driving.drive(Access(provider.kubeconfig()), request.settled(), request.driving, print)
     return code

@@ -18,8 +18,8 @@ WEB_PAGES = (
     "built what it loads. Argo CD's pages cannot be built here; the commands above show the same."
 )
 SEEING = (
-    f"`{ROBOTKUBE} watch` shows what happens as it happens, until ctrl-C; `{ROBOTKUBE} open` opens the console, or "
-    "says what shows the same."
+    f"`{ROBOTKUBE} watch` shows what happens as it happens, until ctrl-C; `{ROBOTKUBE} open fleet` opens the console, "
+    "or says what shows the same."
 )
 
 

@@ -2,7 +2,7 @@
 {{- define "robotkube.console" -}}
 {{- $console := dict "enabled" false "anybodyReads" false "hosts" list "proxies" list "poseTopic" "mqtt/vehicles/{agent}/pose" }}
 {{- $_ := set $console "links" (dict "forge" "" "argocd" "") }}
-{{- $_ := set $console "signIn" (dict "issuer" "" "clientId" "" "secret" "" "url" "" "groups" list "usernameClaim" "preferred_username" "groupsClaim" "groups" "scopes" list) }}
+{{- $_ := set $console "signIn" (dict "issuer" "" "clientId" "" "secret" "" "url" "" "groups" list "usernameClaim" "preferred_username" "groupsClaim" "groups" "scopes" list "writers" list) }}
 {{- $_ := set $console "resources" (dict "requests" (dict "cpu" "50m" "memory" "128Mi") "limits" (dict "memory" "512Mi")) }}
 {{- range $key, $value := .Values.console | default dict }}
 {{- if has $key (list "links" "signIn") }}{{ $value = merge (deepCopy $value) (get $console $key) }}{{ end }}
@@ -61,6 +61,9 @@ sign_in:
   {{- with $console.signIn.scopes }}
   scopes: {{ toJson . }}
   {{- end }}
+  {{- with $console.signIn.writers }}
+  writers: {{ toJson . }}
+  {{- end }}
   {{- if include "robotkube.encrypted" . }}
   authorities: /etc/robotkube/authorities/ca.crt
   {{- end }}
@@ -76,6 +79,12 @@ anybody_reads: {{ $console.anybodyReads }}
 {{ toJson $links }}
 {{- end }}
 
+{{- /* The groups of writers as the API server has them, none of which is a group of the cluster's own. JSON. */ -}}
+{{- define "robotkube.consoleGroups" -}}
+{{- $groups := list }}{{ range . }}{{ $groups = append $groups (printf "robotkube:console:%s" .group) }}{{ end -}}
+{{ $groups | uniq | sortAlpha | toJson }}
+{{- end }}
+
 {{- /* What is wrong with the values of console, one line each. */ -}}
 {{- define "robotkube.consoleRefusals" -}}
 {{- $console := include "robotkube.console" . | fromYaml }}
@@ -86,6 +95,18 @@ anybody_reads: {{ $console.anybodyReads }}
 {{- end }}
 {{- if and $signIn.issuer (not (and $signIn.clientId $signIn.url $signIn.groups)) }}
 {{ print "console.signIn: issuer needs clientId (of the client at the provider), url (the console's own address in a browser) and groups (whose members may read)." }}
+{{- end }}
+{{- if and $signIn.writers (not $signIn.issuer) }}
+{{ print "console.signIn.writers names groups, but console.signIn.issuer is empty: without signing in nobody writes. Name the provider of accounts, or take writers out." }}
+{{- end }}
+{{- $agents := list }}{{ range .Values.agents }}{{ $agents = append $agents .name }}{{ end }}
+{{- range $writer := $signIn.writers }}
+{{- range $writer.namespaces }}{{ if not (has . $agents) }}
+{{ printf "console.signIn.writers: group %s may ask in namespace %s, which is no agent's. Name agents (%s)." $writer.group . (join ", " $agents) }}
+{{- end }}{{ end }}
+{{- if not (has $writer.group $signIn.groups) }}
+{{ printf "console.signIn.writers: group %s is not in console.signIn.groups, so its members may not even read. Add it there." $writer.group }}
+{{- end }}
 {{- end }}
 {{- if and $signIn.issuer $console.anybodyReads }}
 {{ print "console.anybodyReads is true, but console.signIn.issuer is set. Take one of the two out." }}

@@ -12,6 +12,7 @@ import { Agents } from "./views/Agents";
 import { Catalogue } from "./views/Catalogue";
 import { Fleet } from "./views/Fleet";
 import { Plans } from "./views/Plans";
+import { Recordings } from "./views/Recordings";
 import { Sources } from "./views/Sources";
 import { Tasks } from "./views/Tasks";
 import { Trust } from "./views/Trust";
@@ -21,6 +22,7 @@ const VIEWS: Record<string, readonly [string, FunctionComponent]> = {
   fleet: ["Fleet", Fleet],
   tasks: ["Tasks", Tasks],
   plans: ["Plans", Plans],
+  recordings: ["Recordings", Recordings],
   agents: ["Agents", Agents],
   catalogue: ["Catalogue", Catalogue],
   trust: ["Trust", Trust],

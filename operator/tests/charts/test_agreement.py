@@ -13,6 +13,7 @@ import pytest
 import yaml
 
 from robotkube.delivery.console import settings as console
+from robotkube.delivery.console.core.asking import Writers
 from robotkube.delivery.deployment.core.policies.initial import InitialPolicy, read_initial_policy
 from robotkube.delivery.gate import __main__ as gate
 from robotkube.delivery.inspection import __main__ as inspector
@@ -79,6 +80,7 @@ def test_the_remover_reads_the_settings_the_chart_writes(official: Any, tmp_path
 def test_the_console_reads_the_settings_the_chart_writes(helm: Any, official: Any, tmp_path: Path) -> None:
     settings = read_settings(mounted(official, "console", tmp_path), console.read_configuration)
     assert settings.sign_in is not None
+    assert settings.writers == ()
     assert settings.sign_in.redirect == "https://console.example/auth/callback"
     assert {"console.example", "localhost", "console.robotkube.svc.cluster.local"} <= settings.hosts
     assert settings.poses is not None
@@ -86,6 +88,9 @@ def test_the_console_reads_the_settings_the_chart_writes(helm: Any, official: An
     [container] = dict(official.pods)["Deployment/console"]["containers"]
     ports = {port["name"]: port["containerPort"] for port in container["ports"]}
     assert ports == {"http": settings.listen.port, "health": settings.listen.health_port}
+    rendered = helm.template(CHARTS / "robotkube", *(PROFILES / f"{name}.yaml" for name in ("official", "writers")))
+    settings = read_settings(mounted(rendered, "console", tmp_path / "writers"), console.read_configuration)
+    assert settings.writers == (Writers("robotkube:operators", frozenset(["cloud-0"])),)
     anybody: Any = {"enabled": True, "anybodyReads": True, "signIn": {"issuer": ""}}
     elsewhere: Any = {"broker": {"kind": "external", "external": {"host": "mqtt.example"}}, "tls": {"mode": "off"}}
     rendered = helm.template(CHARTS / "robotkube", PROFILES / "official.yaml", console=anybody, **elsewhere)

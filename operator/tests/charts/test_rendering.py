@@ -19,6 +19,7 @@ Object = dict[str, Any]
 
 APP_CHARTS = ("mqtt-bridge", "event-detector", "bag-player", "object-detection", "object-tracking")
 PROFILES = ("official", "embedded")
+FOLDER = Path(__file__).parent / "profiles"
 # Cores requested by everything that runs all the time, Argo CD included: two cores carry the fleet, too.
 PLATFORM_CPU_MAX = 1.2
 PLATFORM = CHARTS / "robotkube"
@@ -189,6 +190,28 @@ def test_the_console_writes_nothing_and_reads_no_secret(official: Any) -> None:
     assert len(roles) == 3 + len(AGENTS)
     assert {verb for rule in rules for verb in rule["verbs"]} == {"get", "list", "watch"}
     assert "secrets" not in {resource for rule in rules for resource in rule["resources"]}
+
+
+def test_people_at_the_console_write_tasks_in_the_listed_namespaces_alone(helm: Any) -> None:
+    twice = {"group": "robotkube:operators", "namespaces": ["cloud-0"]}
+    sign_in = {"groups": ["robotkube", "robotkube:operators"], "writers": [twice, twice]}
+    rendered = helm.template(PLATFORM, FOLDER / "official.yaml", console={"signIn": sign_in})
+    rules = rendered.one("ClusterRole", "robotkube-console", None)["rules"]
+    whom = {tuple(rule["resources"]): rule.get("resourceNames") for rule in rules if rule["verbs"] == ["impersonate"]}
+    assert whom == {
+        ("users",): ["robotkube:console"],
+        ("groups",): ["robotkube:console:robotkube:operators"],
+        ("userextras/robotkube.io/person",): None,  # gives no right
+    }
+    roles = [role for role in rendered.of_kind("Role") if role["metadata"]["name"] == "robotkube-console-writer"]
+    assert [role["metadata"]["namespace"] for role in roles] == ["cloud-0"]
+    assert roles[0]["rules"] == [
+        {"apiGroups": ["robotkube.io"], "resources": ["taskdescriptions"], "verbs": ["create", "delete"]}
+    ]
+    bindings = [one for one in rendered.of_kind("RoleBinding") if one["roleRef"]["name"] == "robotkube-console-writer"]
+    assert [(one["metadata"]["namespace"], one["subjects"][0]["name"]) for one in bindings] == [
+        ("cloud-0", "robotkube:console:robotkube:operators")
+    ]
 
 
 def test_the_suite_runner_reads_numbers_of_nodes_and_nothing_else_of_them(platform: Any) -> None:

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 import yaml
+from kubernetes import client
 
+from robotkube.delivery.console.adapters.peoples_tasks import ImpersonatedTasks
+from robotkube.delivery.console.core.asking import read_request
+from robotkube.delivery.console.core.signing_in import Person
+from robotkube.delivery.tasks.adapters.kubernetes_tasks import KubernetesTasks
+from robotkube.errors import InputError, RefusalError
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
+from robotkube.foundation.kubernetes.adapters.client import api_client, call
 from robotkube.registry.admission.core.policies import API_POLICIES
 from tests.stages.attacks import shown
 from tests.stages.detector.process import COMMAND, is_up, read
@@ -26,12 +35,18 @@ from tests.stages.waiting import until
 
 pytestmark = pytest.mark.toolchain  # a server of its own
 PROFILES = Path(__file__).parent / "profiles"
-INSTALLED = ("official", "managers", "admission")
+INSTALLED = ("official", "managers", "admission", "writers")
 Rights = dict[str, str]
 
 READ = "get list watch"
 WATCHED = "list watch"
 RULES_OF_DETECTORS = {"configmaps": "get"}
+WRITERS = "robotkube:console:robotkube:operators"
+IN_THE_NAME_OF_PEOPLE = {
+    "users robotkube:console": "impersonate",
+    f"groups {WRITERS}": "impersonate",
+    "userextras/robotkube.io/person.authentication.k8s.io": "impersonate",
+}
 TASKS, STATUS = "taskdescriptions.robotkube.io", "taskdescriptions/status.robotkube.io"
 EVENTS, LEASES = "events.events.k8s.io", "leases.coordination.k8s.io"
 GROUP = "robotkube.io"
@@ -151,7 +166,7 @@ EXACTLY: dict[str, dict[str, Rights]] = {
         **dict.fromkeys(AGENTS, REMOVING),
     },
     "robotkube:console": {
-        "*": dict.fromkeys(("nodes", "pods", TASKS), WATCHED),
+        "*": {**dict.fromkeys(("nodes", "pods", TASKS), WATCHED), **IN_THE_NAME_OF_PEOPLE},
         **dict.fromkeys(AGENTS, RULES_OF_DETECTORS),
         "argocd": {"applications.argoproj.io": WATCHED},
         "robotkube": {INSPECTIONS: WATCHED},
@@ -237,6 +252,43 @@ def test_an_account_may_do_exactly_this(asking: httpx.Client, everybody: Rights,
         expected[namespace] = wanted
         found[namespace] = {key: verbs for key, verbs in said.items() if everybody.get(key) != verbs}
     assert found == expected
+
+
+@pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")
+def test_the_console_writes_tasks_as_a_listed_group_alone(installed: Cluster, tmp_path: Path) -> None:
+    """By trying, with the console's own token: not by itself, not as another group, not in another namespace."""
+    with console_api(installed, tmp_path) as api:
+        tasks, anna = ImpersonatedTasks(api), Person("Änna B", ("robotkube:operators",))
+        asked = read_request({"namespace": "cloud-0", "application": "pose-telemetry"})
+        document = asked.document("asked", anna.name, "2026-11-21T10:00:00Z")
+        assert tasks.submit(anna, WRITERS, document)
+        assert not tasks.submit(anna, WRITERS, document)
+        assert tasks.withdraw(anna, WRITERS, "cloud-0", "asked")
+        assert not tasks.withdraw(anna, WRITERS, "cloud-0", "asked")
+        elsewhere = {**document, "metadata": {"namespace": "vehicle-00", "name": "asked"}}
+        with pytest.raises(RefusalError, match=r"console\.signIn\.writers"):
+            tasks.submit(anna, WRITERS, elsewhere)
+        for group in ("robotkube:console:others", "system:masters"):
+            with pytest.raises(RefusalError, match="impersonate"):
+                tasks.submit(anna, group, document)
+        with pytest.raises(InputError, match="cannot create resource"):
+            KubernetesTasks(functools.partial(call, api)).create(document)
+        with pytest.raises(InputError, match="colour"):
+            tasks.submit(anna, WRITERS, {**document, "spec": {**document["spec"], "colour": "red"}})
+
+
+@contextmanager
+def console_api(cluster: Cluster, folder: Path) -> Iterator[client.ApiClient]:
+    """The API server as the console's pod has it: by its account's token."""
+    document = yaml.safe_load(cluster.kubeconfig.read_text())
+    document["users"][0]["user"] = {"token": cluster.kubectl("create", "token", "console").strip()}
+    path = folder / "kubeconfig"
+    path.write_text(write_mapping(document))
+    api = api_client(str(path))
+    try:
+        yield api
+    finally:
+        api.rest_client.pool_manager.clear()
 
 
 def test_every_account_of_the_platform_is_listed(installed: Cluster) -> None:

@@ -1,10 +1,14 @@
-"""Which volume a waiting claim gets when the platform is installed."""
+"""Which volume a waiting claim gets when the platform is installed, and where the console is then."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
-from ci.installation import chosen_volumes
+import pytest
+
+from ci.installation import Installer, chosen_volumes
+from scenarios import demo
 
 
 def claim(name: str, agent: str, phase: str = "Pending") -> dict[str, Any]:
@@ -42,3 +46,30 @@ def test_what_is_bound_or_could_run_on_several_nodes_is_left_to_the_scheduler() 
     claims = [claim("recordings", "a"), claim("bags", "b", "Bound"), claim("bags", "c"), claim("more", "c")]
     assert chosen(claims, volumes) == {"c-0": "c/bags"}
     assert chosen_volumes([], volumes) == []
+
+
+class Installed(Installer):
+    """An installer of a cluster whose console's Service has this address."""
+
+    address = ""
+
+    def kubectl(self, *arguments: str, text: str | None = None, seconds: int = 60) -> str:
+        assert arguments[:5] == ("-n", "robotkube", "get", "service", "console")
+        return self.address
+
+
+@pytest.mark.parametrize(
+    ("address", "said"),
+    [
+        ("10.96.0.7:8080", "The console shows the fleet: http://10.96.0.7:8080/"),
+        ("", "No console; `ci/python -m robotkube.cli watch` shows the fleet."),
+    ],
+)
+def test_a_demo_ends_with_where_the_fleet_is_seen(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], address: str, said: str
+) -> None:
+    monkeypatch.setattr(Installed, "address", address)
+    monkeypatch.setattr(demo, "bring_up", lambda request, steps: Installed(Path(), Path("kubeconfig"), Path()))
+    monkeypatch.setattr(demo.running, "run", lambda *arguments, **named: 0)
+    assert demo.run(demo.Request(Path("scenario"), {}, demo.Choice(), "scenario")) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == said

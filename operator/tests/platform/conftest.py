@@ -27,6 +27,7 @@ ORDER = (
     "suites/test_interface",
     "suites/test_trying",
     "cluster/test_story",
+    "cluster/test_console",
     "cluster/test_bridges",
     "cluster/test_installation",
     "cluster/test_monitoring",

@@ -1,4 +1,4 @@
-import type { Chain, Change, Problem, Session, Snapshot, WhyKind } from "./model";
+import type { Chain, Change, Explanation, Problem, Session, Snapshot, TaskRequest, WhyKind } from "./model";
 
 /** The process refused, or did not answer (status 0). `detail` says why and what to do, in words. */
 export class Refused extends Error {
@@ -39,6 +39,26 @@ export async function openStream(after: string, signal: AbortSignal): Promise<Re
   const answer = await asked(`api/events?after=${encodeURIComponent(after)}`, { signal, headers, cache: "no-store" });
   if (!answer.body) throw new Refused(0, "No answer", AWAY, undefined);
   return answer.body.pipeThrough(new TextDecoderStream()).getReader();
+}
+
+/** What would become of a task, or of everything else without the task of a key. Nothing changes. */
+export const explain = (question: TaskRequest | { withdraw: string }, csrf: string): Promise<Explanation> =>
+  write<Explanation>("POST", "api/explain", csrf, question);
+
+/** Ask for an application; the task's key. */
+export const submitTask = (request: TaskRequest, csrf: string): Promise<{ task: string }> =>
+  write<{ task: string }>("POST", "api/tasks", csrf, request);
+
+/** Take a task back. */
+export async function withdrawTask(key: string, csrf: string): Promise<void> {
+  const path = `api/tasks/${key.split("/").map(encodeURIComponent).join("/")}`;
+  await asked(path, { method: "DELETE", headers: { "X-CSRF-Token": csrf } });
+}
+
+async function write<T>(method: string, path: string, csrf: string, document: unknown): Promise<T> {
+  const headers = { "Content-Type": "application/json", "X-CSRF-Token": csrf };
+  const answer = await asked(path, { method, headers, body: JSON.stringify(document) });
+  return (await answer.json()) as T;
 }
 
 /** End the session. */

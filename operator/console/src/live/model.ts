@@ -12,6 +12,10 @@ export type RuleEvent = Schemas["Event"];
 export type Rule = Schemas["Rule"];
 export type CatalogueEntry = Schemas["CatalogueEntry"];
 export type Stranger = Schemas["Stranger"];
+export type Link = Schemas["Link"];
+export type Recording = Schemas["Recording"];
+export type TaskRequest = Schemas["TaskRequest"];
+export type Explanation = Schemas["Explanation"];
 export type Source = Schemas["Source"];
 export type Kind = Schemas["Kind"];
 export type WhyKind = Schemas["WhyKind"];
@@ -35,5 +39,7 @@ export const KINDS: readonly Kind[] = [
   "rules",
   "catalogue",
   "strangers",
+  "links",
+  "recordings",
   "sources",
 ];

@@ -22,6 +22,8 @@ export class Table {
     rules: new Map(),
     catalogue: new Map(),
     strangers: new Map(),
+    links: new Map(),
+    recordings: new Map(),
     sources: new Map(),
   };
   readonly changed = new Map<Kind, number>();

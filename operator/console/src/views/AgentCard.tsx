@@ -1,5 +1,6 @@
 import type { Pod, Release } from "../live/model";
 import { silentSince } from "../map/fleet";
+import { linkRate, linkTone, linkWords } from "../parts/links";
 import { Badge, Empty } from "../parts/parts";
 import { releaseTone } from "../parts/states";
 import { useItems, why } from "../state";
@@ -56,10 +57,33 @@ export function AgentCard({ name, now, close }: { name: string; now: number; clo
           )}
         </dd>
       </dl>
+      <Links namespace={namespace} now={now} />
       <Running namespace={namespace} />
     </section>
   );
 }
+
+function Links({ namespace, now }: { namespace: string; now: number }) {
+  const links = [...useItems("links")].filter(([, link]) => link.agent === namespace);
+  if (!links.length) return <p class="quiet">No link is known: no bridge runs here, or none was read yet.</p>;
+  return (
+    <>
+      <h3>Links to the broker</h3>
+      <ul class="runs">
+        {links.map(([key, link]) => (
+          <li key={key}>
+            <span class="way">{WAYS[link.direction]}</span> <code>{link.topic || link.release}</code>
+            <div>
+              <Badge tone={linkTone(link)}>{linkRate(link)}</Badge> <span class="quiet">{linkWords(link, now)}</span>
+            </div>
+          </li>
+        ))}
+      </ul>
+    </>
+  );
+}
+
+const WAYS = { out: "out", in: "in", "": "not carried" };
 
 function Running({ namespace }: { namespace: string }) {
   const releases = [...useItems("releases")].filter(([, release]) => release.agent === namespace);

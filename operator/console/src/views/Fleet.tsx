@@ -2,6 +2,7 @@ import { useMemo, useState } from "preact/hooks";
 import type { Agent, RuleEvent } from "../live/model";
 import { silentSince } from "../map/fleet";
 import { FleetMap } from "../map/Map";
+import { linksInWords } from "../parts/links";
 import { Badge, Choice, Empty, Search, Stale } from "../parts/parts";
 import { filter } from "../search";
 import { at, go, live, useItems, useNow, usePlace, useSignature, why } from "../state";
@@ -28,7 +29,7 @@ export function Fleet() {
       <h1 class="hidden">Fleet</h1>
       <FleetMap found={names} selected={selected} select={select} empty={!rows.some((row) => row.heard)} />
       <aside aria-label="Agents and events">
-        <Stale kinds={["agents", "poses", "events", "rules"]} now={now} />
+        <Stale kinds={["agents", "poses", "events", "rules", "links"]} now={now} />
         {selected !== undefined && <AgentCard name={selected} now={now} close={() => select(undefined)} />}
         <Events now={now} />
         <section aria-labelledby="agents-head">
@@ -49,16 +50,18 @@ interface Row {
   readonly events: readonly string[];
   readonly hold: string;
   readonly runs: readonly string[];
+  readonly links: string;
   readonly heard: boolean;
 }
 
 /** One row per agent that is declared or heard. */
 function useFleet(now: number): readonly Row[] {
-  const { agents, poses, events, releases } = live.table.maps;
+  const { agents, poses, events, releases, links } = live.table.maps;
   const { changed } = live.table;
-  useSignature(() => ["agents", "events", "releases"].map((kind) => changed.get(kind as "agents")).join());
+  useSignature(() => ["agents", "events", "releases", "links"].map((kind) => changed.get(kind as "agents")).join());
   const running = useMemo(() => grouped(releases.values(), (release) => [release.agent]), [changed.get("releases")]);
-  const versions = [changed.get("agents"), changed.get("events"), running, Math.floor(now / 1000)];
+  const carried = useMemo(() => grouped(links.values(), (link) => [link.agent]), [changed.get("links")]);
+  const versions = [changed.get("agents"), changed.get("events"), running, carried, Math.floor(now / 1000)];
   return useMemo(() => {
     const lasting = grouped(
       [...events.values()].filter((event) => event.ended_ms === null),
@@ -74,6 +77,7 @@ function useFleet(now: number): readonly Row[] {
         events: (lasting.get(name) ?? []).map((event) => event.rule),
         hold: agent?.hold?.reason ?? "",
         runs: (running.get(agent?.namespace ?? name) ?? []).map((release) => release.chart),
+        links: linksInWords(carried.get(agent?.namespace ?? name) ?? []),
         heard: poses.has(name),
       };
     });
@@ -130,6 +134,7 @@ function AgentList({ rows, selected, now }: { rows: readonly Row[]; selected: st
           <a href={at("fleet", row.name)} aria-current={row.name === selected ? "true" : undefined}>
             <span class="name">{row.name}</span> <span class="quiet">{row.role}</span>{" "}
             <AgentState row={row} now={now} />
+            {row.links && <span class="links quiet">{row.links}</span>}
           </a>
         </li>
       ))}

@@ -4,6 +4,7 @@ import { Badge, Cell, Choice, Empty, Rows, Search, Stale, Time } from "../parts/
 import { PLAN_TONES, PLAN_WORDS, planSeconds, planWords } from "../parts/states";
 import { filter } from "../search";
 import { useItems, useNow, why } from "../state";
+import { Differences } from "./Differences";
 import { duration } from "../words";
 
 type Which = Plan["state"] | "all";
@@ -83,6 +84,8 @@ function Line({ plan, now }: { plan: Plan; now: number }) {
           {planWords(plan)} ({plan.cause})
         </div>
         {plan.error && <div class="bad">{plan.error}</div>}
+        {plan.waits && <div class="quiet">waits: {plan.waits}</div>}
+        <Differences plan={plan} />
       </Cell>
       <Cell head="Takes">{seconds === undefined ? <span class="quiet">–</span> : duration(seconds)}</Cell>
       <Cell head="Pull request">

@@ -3,12 +3,21 @@ import type { Task } from "../live/model";
 import { Badge, Cell, Choice, Empty, Rows, Search, Stale, Time, Words } from "../parts/parts";
 import { TASK_TONES, taskGroup, taskWords, type TaskGroup } from "../parts/states";
 import { filter } from "../search";
-import { useItems, useNow, useSession, why } from "../state";
+import { at, useItems, useNow, usePlace, useSession, why } from "../state";
+import { Ask } from "./Ask";
+import { Withdraw } from "./Withdraw";
 
 type Which = TaskGroup | "all";
 
-/** What is asked for, what became of it, and why it waits. */
+/** Tasks: the list of them, the form that asks for one, or the question whether one is taken back. */
 export function Tasks() {
+  const [, what, ...words] = usePlace();
+  if (what === "ask") return <Ask />;
+  return what === "withdraw" ? <Withdraw key={words.join("/")} task={words.join("/")} /> : <List />;
+}
+
+/** What is asked for, what became of it, and why it waits. */
+function List() {
   const tasks = [...useItems("tasks")].sort(([, one], [, other]) => (other.created_ms ?? 0) - (one.created_ms ?? 0));
   const [text, search] = useState("");
   const [which, choose] = useState<Which>("all");
@@ -21,6 +30,11 @@ export function Tasks() {
       <h1>Tasks</h1>
       <p class="quiet">
         What is asked for, and what became of it. {session && !session.may_write && <Words text={session.why_not} />}
+      </p>
+      <p>
+        <a class="button" href={at("tasks", "ask")}>
+          Ask for an application
+        </a>
       </p>
       <Stale kinds={["tasks"]} now={now} />
       <div class="filters">
@@ -46,7 +60,8 @@ function None({ any }: { any: boolean }) {
   return (
     <Empty title="Nobody asks for anything.">
       <p>
-        A rule of an event detector asks when it begins to hold, a person with <code>robotkube task submit</code>.
+        A rule of an event detector asks when it begins to hold, a person here or with{" "}
+        <code>robotkube task submit</code>.
       </p>
     </Empty>
   );
@@ -85,6 +100,13 @@ function Line({ name, task, now }: { name: string; task: Task; now: number }) {
       </Cell>
       <Cell head="State">
         <Badge tone={TASK_TONES[taskGroup(task)]}>{task.state}</Badge>
+        {!task.withdrawn && (
+          <div>
+            <a href={at("tasks", "withdraw", task.namespace, task.name)} aria-label={`Withdraw ${name}`}>
+              Withdraw …
+            </a>
+          </div>
+        )}
       </Cell>
       <Cell head="Why" wide>
         {task.reason}

@@ -62,6 +62,8 @@ def plans(*more: dict[str, Any], **changed: Any) -> dict[str, Any]:
         "changed": [BRIDGE],
         "removed": [],
         "error": None,
+        "waits": None,
+        "differences": {"values": [{"release": BRIDGE, "path": "version", "before": '"1"', "after": '"2"'}], "more": 0},
         "on_main": True,
         "demand_seen": BEGAN,
         "started": BEGAN,
@@ -96,6 +98,29 @@ def edges(*names: str) -> dict[str, Any]:
     }
     times = {"start": BEGAN, "stop": BEGAN + 50 * SECOND}
     return {"events": [{**common, "edge": name, "time": times[name], "stamp": times[name]} for name in names]}
+
+
+def recordings(*ended: int | None) -> dict[str, Any]:
+    """A detector's page /recordings: one for each time of an end, None for one that is at work."""
+    gap = {"where": "mqtt-bridge", "why": "outbox full", "count": 3, "first": BEGAN, "last": BEGAN + SECOND}
+    counts = {"received": 100, "stored": 97, "early": 0, "duplicates": 0, "dropped": 1, "unsettled": 0}
+    audit = {"topic": "/vehicles/vehicle_00/pose", "window": [BEGAN - SECOND, BEGAN + SECOND], **counts, "gaps": [gap]}
+    silent = {"topic": "/cloud", "window": None, **dict.fromkeys(counts, 0), "gaps": []}
+    cause = {"event": EVENT, "rule": "near", "agents": ["vehicle-00"], "trace": TRACE, "started": BEGAN}
+    return {
+        "recordings": [
+            {
+                "recording": f"encounter-{number}",
+                "rule": "near",
+                "volume": "cloud-0/recordings",
+                "began": BEGAN + number,
+                "ended": end,
+                "causes": [{**cause, "stopped": end}],
+                "topics": [audit, silent],
+            }
+            for number, end in enumerate(ended)
+        ]
+    }
 
 
 def application(release: str = RECORDER, digest: str = "sha256:" + "a" * 64, health: str = "Healthy") -> dict[str, Any]:

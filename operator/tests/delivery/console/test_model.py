@@ -11,29 +11,38 @@ from robotkube.delivery.console.adapters.cluster_documents import agent_document
 from robotkube.delivery.console.adapters.cluster_watches import read_shown_pod
 from robotkube.delivery.console.core import table as kinds
 from robotkube.delivery.console.core.documents import stranger_documents, task_document
+from robotkube.delivery.console.core.recordings import recording_documents
 from robotkube.delivery.console.loops import model as model_module
 from robotkube.delivery.console.loops.model import ReadModel
 from robotkube.delivery.console.loops.page_reading import DetectorReader, ManagerReader
 from robotkube.delivery.console.ports import Detector, ManagerPages
 from robotkube.delivery.manager.adapters.kubernetes_cluster import read_node
-from robotkube.errors import UnavailableError
+from robotkube.errors import InputError, UnavailableError
 from tests.delivery.console import documents as given
 
 URL = "http://manager:8080"
 DETECTOR = Detector("cloud-0/recorder-0", given.RECORDER, "10.0.0.7", "recorder")
 EVENTS = "http://10.0.0.7:8081/events"
+RECORDINGS = "http://10.0.0.7:8081/recordings"
 
 
 class Pages:
     """Pages in memory; a page that is not there is one that nobody answers for."""
 
     def __init__(self, **pages: Any) -> None:
-        self.pages: dict[str, Any] = {f"{URL}/plans": given.plans(), f"{URL}/catalogue": given.CATALOGUE, **pages}
+        self.pages: dict[str, Any] = {
+            f"{URL}/plans": given.plans(),
+            f"{URL}/catalogue": given.CATALOGUE,
+            RECORDINGS: given.recordings(),
+            **pages,
+        }
         self.settings: Mapping[str, Any] = given.RULES
 
     def get(self, url: str) -> Mapping[str, Any]:
         if url not in self.pages:
             raise UnavailableError(f"{url}: nobody answers")
+        if self.pages[url] is None:
+            raise InputError(f"{url}: 404")
         page: Mapping[str, Any] = self.pages[url]
         return page
 
@@ -154,6 +163,31 @@ def test_events_and_rules_come_from_detectors_and_rules_go_with_them(model: Read
     there.clear()
     assert reader.step()
     assert not model.documents(kinds.RULES)
+
+
+def test_recordings_come_from_detectors_and_stay_when_they_go(model: ReadModel) -> None:
+    pages = Pages(**{EVENTS: given.edges("start"), RECORDINGS: given.recordings(given.BEGAN + given.SECOND, None)})
+    there = [DETECTOR]
+    reader = DetectorReader(model, pages, pages, lambda: there, lambda: 0.0)
+    assert reader.step()
+    ended, open_one = (model.documents(kinds.RECORDINGS)[f"cloud-0/encounter-{number}"] for number in (0, 1))
+    assert (ended["at_work"], ended["ended_ms"] - ended["windows"][0]["began_ms"]) == (False, 1000)
+    assert (open_one["at_work"], open_one["windows"][0]["event"]) == (True, given.EVENT)
+    assert (open_one["received"], open_one["stored"], open_one["dropped"], open_one["gap_count"]) == (100, 97, 1, 1)
+    assert open_one["gaps"][0]["why"] == "outbox full"
+    assert [topic["first_ms"] is None for topic in open_one["topics"]] == [True, False]
+    pages.pages[RECORDINGS] = None
+    assert reader.step(), "a detector of an earlier version has no such page"
+    there.clear()
+    reader.step()
+    assert model.documents(kinds.RECORDINGS)["cloud-0/encounter-1"]["at_work"] is False
+
+
+def test_of_too_many_recordings_those_that_ended_go_first(model: ReadModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(model_module, "RECORDINGS_MAX", 2)
+    page = given.recordings(None, given.BEGAN, given.BEGAN)
+    model.put_recordings(recording_documents(page, "cloud-0", "cloud-0/recorder-0"))
+    assert set(model.documents(kinds.RECORDINGS)) == {"cloud-0/encounter-0", "cloud-0/encounter-2"}
 
 
 def test_a_pod_of_a_detector_that_is_ready_is_asked_for_its_pages() -> None:

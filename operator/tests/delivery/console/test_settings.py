@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 import yaml
 
+from robotkube.delivery.console.core.asking import Writers
 from robotkube.delivery.console.settings import ConsoleConfiguration, read_configuration
 from robotkube.errors import DocumentError
 from robotkube.foundation.runtime.settings_file import read_settings
@@ -36,6 +37,13 @@ def test_the_least(tmp_path: Path) -> None:
     assert settings.agents[0]["records"] is True
 
 
+def test_who_may_ask_for_tasks(tmp_path: Path) -> None:
+    writers = [{"group": "robotkube:Owners", "namespaces": ["cloud-0"]}]
+    settings = read(tmp_path, sign_in={**SIGN_IN, "writers": writers}, anybody_reads=None)
+    assert settings.writers == (Writers("robotkube:Owners", frozenset(["cloud-0"])),)
+    assert read(tmp_path).writers == ()
+
+
 def test_signing_in(tmp_path: Path) -> None:
     (tmp_path / "secret").write_text("s3cret\n")
     given = {**SIGN_IN, "client_secret": str(tmp_path / "secret")}
@@ -57,6 +65,11 @@ def test_signing_in(tmp_path: Path) -> None:
         ({"sign_in": {**SIGN_IN, "groups": []}}, r"sign_in\.groups: must name one group or more"),
         ({"sign_in": {**SIGN_IN, "issuer": "forge"}}, r"sign_in\.issuer: 'forge' must match"),
         ({"sign_in": {**SIGN_IN, "scopes": ["a b"]}}, r"sign_in\.scopes\[0\]: 'a b' must match"),
+        (
+            {"sign_in": {**SIGN_IN, "writers": [{"group": " a", "namespaces": ["B"]}]}},
+            r"sign_in\.writers\[0\]\.group: ' a' must match",
+        ),
+        ({"sign_in": {**SIGN_IN, "writers": [{"group": "a"}]}}, r"sign_in\.writers\[0\]\.namespaces: missing"),
         ({"poses": {"topic": "mqtt/pose"}}, r"poses\.topic: must have \{agent\} as one of its levels"),
         ({"managers": [{"name": "m"}]}, r"managers\[0\]\.url: missing"),
         ({"agents": [{"name": "A b"}]}, r"agents\[0\]\.name: 'A b' must match"),

@@ -13,6 +13,7 @@ from robotkube.delivery.console.adapters.web.people import People
 from robotkube.delivery.console.core.sessions import SESSION_SECONDS, SESSIONS_MAX, Sessions
 from robotkube.delivery.console.core.signing_in import Person, SignIn, place_to_return, read_provider
 from robotkube.delivery.console.loops.model import ReadModel
+from tests.delivery.console.people import PlatformInMemory
 from tests.delivery.console.provider import CLIENT, ISSUER, AccountProvider
 from tests.delivery.console.requests import Client
 
@@ -28,7 +29,7 @@ class Browser:
         self.provider = provider
         people = People(settings, OpenIdConnect(settings, provider.client))
         around = ConsoleSurroundings(["console.example"], settings.encrypted)
-        self.console = Console(ReadModel("e", lambda: 7), people, around)
+        self.console = Console(ReadModel("e", lambda: 7), people, PlatformInMemory().asking, around)
         self.client = Client(self.console.app, settings.url)
 
     def begin(self, back: str = "/") -> dict[str, str]:

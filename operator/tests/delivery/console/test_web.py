@@ -20,10 +20,13 @@ from robotkube.delivery.console.adapters.web.page_files import read_files
 from robotkube.delivery.console.adapters.web.people import People
 from robotkube.delivery.console.core import table as kinds
 from robotkube.delivery.console.core.documents import rule_documents, stranger_documents, task_document
+from robotkube.delivery.console.core.links import BridgeReading, LinkRates
 from robotkube.delivery.console.core.rate_limits import RateLimits, RequestRate
+from robotkube.delivery.console.core.recordings import recording_documents
 from robotkube.delivery.console.loops.model import ReadModel
 from robotkube.errors import InputError
 from tests.delivery.console import documents as given
+from tests.delivery.console.people import PlatformInMemory
 from tests.delivery.console.requests import Client
 from tests.stages.paths import DOCS
 
@@ -46,6 +49,9 @@ def filled() -> ReadModel:
     model.put_events(given.edges("start", "stop"), "cloud-0/detector")
     model.replace(kinds.RULES, rule_documents(given.RULES, given.RECORDER))
     model.put_catalogue("manager", given.CATALOGUE)
+    model.put_recordings(recording_documents(given.recordings(given.BEGAN, None), "cloud-0", "cloud-0/recorder-0"))
+    link = LinkRates().documents(given.BRIDGE, BridgeReading(NOW, {("out", "/pose"): {"messages_total": 1.0}}), ("no",))
+    model.replace(kinds.LINKS, link)
     stranger = {"kind": "Pod", "namespace": "cloud-0", "name": "x", "reason": "ForeignImage"}
     inspection = {
         "metadata": {"namespace": "robotkube", "name": "kubelet.cloud-0"},
@@ -61,7 +67,9 @@ class Open:
 
     def __init__(self, model: ReadModel, **around: Any) -> None:
         self.model = model
-        self.console = Console(model, People(None), ConsoleSurroundings(hosts=["testserver"], **around))
+        self.console = Console(
+            model, People(None), PlatformInMemory().asking, ConsoleSurroundings(hosts=["testserver"], **around)
+        )
         self.client = Client(self.console.app)
 
     def get(self, path: str, **more: Any) -> Any:
@@ -286,7 +294,7 @@ def test_a_bucket_fills_again_and_of_too_many_sources_the_oldest_is_forgotten() 
 
 
 def test_what_only_reads_takes_nothing(console: Open) -> None:
-    for path in ("/api/snapshot", "/api/tasks", "/"):
+    for path in ("/api/snapshot", "/api/agents", "/"):
         for method in ("POST", "PUT", "DELETE", "PATCH"):
             assert console.client.request(method, path).status_code == 405
 

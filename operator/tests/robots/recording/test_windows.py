@@ -237,3 +237,27 @@ def test_an_irregular_topic_has_no_holes() -> None:
     one_more = range(1, 2 * (HOLES_MAX + 1), 2)
     assert holes([number for number in range(200) if number not in one_more]) == [], "fewer than nine of ten are even"
     assert holes([number**2 * SECOND for number in range(100)]) == []
+
+
+def test_recordings_are_told_while_they_are_open_and_after_they_have_ended() -> None:
+    """What `GET /recordings` of a detector says."""
+    bench = Bench()
+    bench.play(30)
+    event = Event("e" * 32, bench.now)
+    bench.recordings.trigger(event, bench.now)
+    bench.play(10)
+    [opened] = bench.recordings.documents()
+    assert (opened["recording"], opened["rule"], opened["volume"]) == ("encounter-eeeeeeee", "near", "n/c")
+    assert (opened["ended"], opened["causes"][0]["event"], opened["causes"][0]["stopped"]) == (None, event.id, None)
+    bench.recordings.end(replace(event, stamp=bench.now), bench.now)
+    bench.play(int((1 + LINGER_SECONDS) * 10) + 2)
+
+    def ended() -> bool:
+        bench.recordings.tick(bench.now)
+        return [told["ended"] for told in bench.recordings.documents()] == [bench.now]
+
+    until(ended, "it has ended")
+    [closed] = bench.recordings.documents()
+    assert {audit["topic"]: audit["stored"] > 0 for audit in closed["topics"]} == {A: True, B: True, C: True}
+    assert closed["causes"][0]["stopped"] is not None
+    assert bench.recordings.stop(5)

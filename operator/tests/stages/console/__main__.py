@@ -1,6 +1,6 @@
 """`ci/python -m tests.stages.console PAGE [--agents N] [--as MODE]`: the page PAGE before a synthetic fleet, for
-pictures and measurements. Modes: live; buffered (the stream says nothing); away (only the page is there); signed-out;
-forbidden; empty (a platform without agents).
+pictures and measurements. Modes: live; reader (who may not write); buffered (the stream says nothing); away (only the
+page is there); signed-out; forbidden; empty (a platform without agents).
 """
 
 from __future__ import annotations
@@ -15,19 +15,29 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, unquote, urlsplit
 
+from tests.stages.console.documents import explanation
 from tests.stages.console.synthetic import STEP_MS, Fleet
 
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'"
 )
-SESSION = {"user": "operator-team", "groups": ["robotkube"], "may_read": True, "may_write": False, "csrf": "paper"}
-WHY_NOT = "This console only reads. Ask for tasks by `robotkube task submit`."
+SESSION = {"user": "operator-team", "groups": ["robotkube"], "may_read": True, "csrf": "paper"}
+WRITER = {"may_write": True, "namespaces": ["cloud-0"], "why_not": ""}
+READER = {
+    "may_write": False,
+    "namespaces": [],
+    "why_not": "None of your groups may ask for tasks here (console.signIn.writers). Ask for them by "
+    "`robotkube task submit`.",
+}
 REFUSALS = {
     "signed-out": (401, "Not signed in", "Sign in with your account of the provider.", {"sign_in": "/auth/login"}),
     "forbidden": (403, "Not of a group that reads", "Reading needs membership of the group robotkube.", {}),
     "away": (503, "Not ready", "The console has not read the platform yet.", {"retry_after_seconds": 2}),
 }
+
+
+MODES = ("live", "reader", "buffered", "empty", *REFUSALS)
 
 
 def version() -> int:
@@ -48,7 +58,8 @@ class Handler(BaseHTTPRequestHandler):
         if words[0] != "api":
             self.file(parts.path)
         elif words[1] == "session":
-            self.document(200, SESSION | {"sign_in": "/auth/login", "why_not": WHY_NOT})
+            rights = READER if self.mode == "reader" else WRITER
+            self.document(200, SESSION | rights | {"sign_in": "/auth/login"})
         elif self.mode in REFUSALS:
             status, title, detail, more = REFUSALS[self.mode]
             self.document(status, {"status": status, "title": title, "detail": detail} | more)
@@ -60,6 +71,16 @@ class Handler(BaseHTTPRequestHandler):
             self.stream(self.after(parts.query))
         else:
             self.chain(words[2], "/".join(words[3:]))
+
+    def do_POST(self) -> None:
+        question = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+        if self.path == "/api/explain":
+            self.document(200, explanation(question))
+        elif self.headers["X-CSRF-Token"] == SESSION["csrf"]:
+            self.document(201, {"task": next(iter(self.fleet.tasks(version() * STEP_MS)))})
+
+    def do_DELETE(self) -> None:
+        self.answer(204, "application/json", None)
 
     def snapshot(self) -> dict[str, Any]:
         snapshot = self.fleet.snapshot(version())
@@ -80,7 +101,7 @@ class Handler(BaseHTTPRequestHandler):
         self.wfile.write(b":" + b" " * 2048 + b"\n\n")
         while True:
             now = version()
-            if self.mode == "live" and now > after:
+            if self.mode in ("live", "reader") and now > after:
                 change = self.fleet.change(after, now)
                 self.wfile.write(f"id: {change['id']}\nevent: change\ndata: {json.dumps(change)}\n\n".encode())
                 after = now
@@ -123,7 +144,7 @@ def main() -> None:
     parser.add_argument("--agents", type=int, default=15)
     parser.add_argument("--releases", type=int, default=60)
     parser.add_argument("--port", type=int, default=8099)
-    parser.add_argument("--as", dest="mode", default="live", choices=("live", "buffered", "empty", *REFUSALS))
+    parser.add_argument("--as", dest="mode", default="live", choices=MODES)
     parser.add_argument("--without", action="append", default=[], help="a source that is away")
     given = parser.parse_args()
     Handler.page, Handler.mode = given.page, given.mode

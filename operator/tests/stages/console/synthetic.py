@@ -9,10 +9,11 @@ import random
 from dataclasses import dataclass, field
 from typing import Any
 
+from tests.stages.console.documents import NOT_READY, PARAMETERS, RULE, differences, recording
+
 Document = dict[str, Any]
 VERSIONS_PER_SECOND = 4
 STEP_MS = 1000 // VERSIONS_PER_SECOND
-RULE = "lidar-proximity"
 START_M, STOP_M = 400.0, 500.0
 REASON = f"within {START_M:.0f} m"
 CHARTS = ("mqtt-bridge", "object-detection", "object-tracking", "event-detector", "recorder")
@@ -65,6 +66,8 @@ class Fleet:
             "rules": RULES,
             "catalogue": self.catalogue(),
             "strangers": STRANGERS(now_ms),
+            "links": self.links(now_ms),
+            "recordings": self.recordings(now_ms),
             "sources": self.sources(now_ms),
         }
         links = {"forge": "http://forge.example.com", "argocd": "http://argocd.example.com"}
@@ -80,9 +83,12 @@ class Fleet:
     def change(self, after: int, version: int) -> Document:
         """What changed between two versions."""
         news: Document = {"poses": {}}
+        now_ms = version * STEP_MS
         for each in range(max(after + 1, version - 8), version + 1):
             news["poses"] |= self.poses(each)
         before, now = self.events(after * STEP_MS), self.events(version * STEP_MS)
+        if version % (10 * VERSIONS_PER_SECOND) == 0:
+            news |= {"tasks": self.tasks(now_ms), "plans": self.plans(now_ms), "recordings": self.recordings(now_ms)}
         news["events"] = {key: event for key, event in now.items() if before.get(key) != event}
         gone = {"events": sorted(before.keys() - now.keys())}
         return {"id": f"paper.{version}", "version": version, "time_ms": version * STEP_MS, "set": news, "gone": gone}
@@ -213,14 +219,37 @@ class Fleet:
                     "digest": f"sha256:{hex_word(chart + version, 64)}",
                     "evidence": f"sha256:{hex_word('evidence' + chart + version, 64)}",
                     "evidence_problem": "no trusted key signed it" if bad else "",
+                    "parameters": {},
                     "releases": [f"{name}/{chart}" for name in self.names[: 4 * number]] if version == "0.2.1" else [],
                 }
         application = {"kind": "application", "name": "pose-point-cloud-recording", "version": "", "state": "verified"}
         more = {"description": "Poses into the database, point clouds into segments.", "provides": ["recording"]}
+        more["parameters"] = PARAMETERS
         entries["application/pose-point-cloud-recording"] = (
             application | more | {"digest": "", "evidence": "", "evidence_problem": "", "releases": []}
         )
         return entries
+
+    def links(self, now_ms: int) -> Document:
+        """Each bridge carries poses and clouds, one of twenty nothing since a while, and of one nothing is known."""
+        links: Document = {}
+        for number, name in enumerate(self.names):
+            silent = number % 20 == 7
+            for topic, rate in (("pose", 100.0), ("lidar_center/pointcloud", 10.0)):
+                link = {"release": f"{name}/mqtt-bridge", "agent": name, "direction": "out", "latency_ms": None}
+                link |= {"topic": f"/vehicles/{name.replace('-', '_')}/{topic}", "matched": 1, "problem": ""}
+                since = now_ms // 600_000 * 600_000 - 45_000
+                known = {"rate_hz": 0.0 if silent else rate, "silent_since_ms": since if silent else None}
+                unknown = {"rate_hz": None, "silent_since_ms": None, "matched": None, "problem": NOT_READY}
+                told = unknown if number % 9 == 4 else known
+                over = {"over_seconds": None if told is unknown else 5}
+                links[f"{name}/mqtt-bridge/out{link['topic']}"] = link | told | over
+        return links
+
+    def recordings(self, now_ms: int) -> Document:
+        """One recording for each event; every third has gaps."""
+        events = list(self.events(now_ms).values())[-12:]
+        return {f"cloud-0/{r['recording']}": r for r in (recording(*each) for each in enumerate(events))}
 
     def sources(self, now_ms: int) -> Document:
         sources: Document = {}
@@ -264,11 +293,12 @@ AGENT: Document = {
 SOURCES = {
     "api-server-nodes": ["agents"],
     "api-server-tasks": ["tasks"],
-    "api-server-pods": ["pods", "rules"],
+    "api-server-pods": ["pods"],
     "api-server-applications": ["releases"],
     "api-server-inspections": ["strangers"],
     "manager/manager": ["plans", "catalogue"],
-    "detectors": ["events"],
+    "detectors": ["events", "rules", "recordings"],
+    "bridges": ["links"],
     "broker": ["poses"],
 }
 RULES: Document = {
@@ -367,6 +397,8 @@ def plan_document(event: Document, state: str) -> Document:
         "url": "http://forge.example.com/pulls/12",
         "commit": hex_word(event["id"], 40) if merged else "",
         "error": error if state == "refused" else "",
+        "waits": "pull request 12: the person who approves vehicles has not yet" if state == "open" else "",
+        "differences": None if event["began_ms"] % 3 == 2 else differences(event["agents"]),
         "demand_seen_ms": began + 20,
         "started_ms": began + 27,
         "proposed_ms": began + 480,

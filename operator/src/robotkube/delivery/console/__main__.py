@@ -18,11 +18,14 @@ from kubernetes import client
 from robotkube.delivery.console.adapters.broker_poses import BrokerPoses
 from robotkube.delivery.console.adapters.cluster_watches import ClusterWatches, ConfigMapSettings
 from robotkube.delivery.console.adapters.http_pages import AGENT_PAGE_BYTES_MAX, HttpPages
+from robotkube.delivery.console.adapters.peoples_tasks import ImpersonatedTasks
 from robotkube.delivery.console.adapters.web.application import Console, ConsoleSurroundings
+from robotkube.delivery.console.adapters.web.asking import AskedParties
 from robotkube.delivery.console.adapters.web.page_files import read_files
 from robotkube.delivery.console.adapters.web.people import People
 from robotkube.delivery.console.adapters.web.server import AsgiServer
 from robotkube.delivery.console.core.poses import PoseSampler
+from robotkube.delivery.console.loops.link_reading import LinkReader
 from robotkube.delivery.console.loops.model import ReadModel
 from robotkube.delivery.console.loops.page_reading import DetectorReader, ManagerReader
 from robotkube.delivery.console.settings import ConsoleConfiguration, read_configuration
@@ -52,13 +55,17 @@ class ConsoleProcess:
         self._detectors = DetectorReader(
             self.model, self._pages_of_agents, settings, self.watches.detectors, time.monotonic
         )
+        self._links = LinkReader(self.model, self._pages_of_agents, self.watches.bridges)
         self._poses = _poses(configuration, self.model)
         sign_in = configuration.sign_in
         trust(configuration.authorities)
         page = read_files(configuration.page)
         encrypted = sign_in is not None and sign_in.encrypted
         around = ConsoleSurroundings(configuration.hosts, encrypted, configuration.links, page)
-        self.console = Console(self.model, People(sign_in), around)
+        people = People(sign_in, writers=configuration.writers)
+        managers = {manager.name: manager.url for manager in configuration.managers}
+        asking = AskedParties(managers, self._pages, ImpersonatedTasks(api))
+        self.console = Console(self.model, people, asking, around)
         self.server = AsgiServer(
             self.console.app, configuration.listen.address, configuration.listen.port, configuration.proxies
         )
@@ -77,7 +84,7 @@ class ConsoleProcess:
 
     def run(self, stopping: threading.Event) -> None:
         """Read and serve until `stopping` is set."""
-        loops = [self.watches.run, self._detectors.run, *(manager.run for manager in self._managers)]
+        loops = [self.watches.run, self._detectors.run, self._links.run, *(manager.run for manager in self._managers)]
         loops += [self._poses.run] if self._poses else []
         threads = [_started(loop, stopping) for loop in loops]
         self.health.start()

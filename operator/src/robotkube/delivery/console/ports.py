@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from robotkube.delivery.console.core.chains import View
+from robotkube.delivery.console.core.signing_in import Person
 from robotkube.delivery.console.core.table import Document, TableChange
 
 
@@ -22,6 +23,16 @@ class Detector:
 
 
 @dataclass(frozen=True)
+class BridgePod:
+    """A pod of a bridge: `<namespace>/<pod>`, the release `<namespace>/<name>`, and the address of its pages, empty
+    while it is not ready."""
+
+    pod: str
+    release: str
+    host: str
+
+
+@dataclass(frozen=True)
 class ManagerPages:
     """The pages of a manager: its name and the address in front of them."""
 
@@ -30,10 +41,40 @@ class ManagerPages:
 
 
 class Pages(Protocol):
-    """JSON pages of processes."""
+    """Pages of processes."""
 
     def get(self, url: str) -> Mapping[str, Any]:
-        """The page at `url`; UnavailableError when nobody answers, or the answer is none."""
+        """The JSON object at `url`; UnavailableError when nobody answers, or the answer is none."""
+        ...
+
+    def text(self, url: str) -> str:
+        """The page at `url` as it is; UnavailableError when nobody answers, or the answer is none."""
+        ...
+
+    def sentences(self, url: str) -> Sequence[str]:
+        """The JSON list of texts at `url`; UnavailableError when nobody answers, or the answer is none."""
+        ...
+
+
+class WhatIf(Protocol):
+    """Managers, as they are asked what would become of a task."""
+
+    def ask(self, url: str, question: Mapping[str, Any]) -> Mapping[str, Any]:
+        """The explanation by the manager at `url`; InputError when the question is none, UnavailableError when nobody
+        answers it now."""
+        ...
+
+
+class PeoplesTasks(Protocol):
+    """TaskDescriptions, written in the name of somebody with the rights of one of his groups alone. InputError when the
+    task is refused, RefusalError where these rights do not reach, UnavailableError when nobody answers."""
+
+    def submit(self, person: Person, group: str, task: Mapping[str, Any]) -> bool:
+        """Make a task; False when there is one of its name."""
+        ...
+
+    def withdraw(self, person: Person, group: str, namespace: str, name: str) -> bool:
+        """Delete a task; False when there is none."""
         ...
 
 

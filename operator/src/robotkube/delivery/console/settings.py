@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from robotkube.delivery.console.core.asking import Writers
 from robotkube.delivery.console.core.poses import MARK
 from robotkube.delivery.console.core.signing_in import SignIn
 from robotkube.delivery.console.ports import ManagerPages
@@ -21,6 +22,8 @@ from robotkube.robots.mqtt.broker_settings import read_broker
 SCOPES = ["openid", "profile", "groups", "read:user"]  # without the last one a token of Gitea may do all that he may
 SCOPE = re.compile(r"[!#-\[\]-~]{1,100}", re.ASCII)  # RFC 6749, section 3.3
 TEXT = re.compile(r"[^\0\n]{1,500}")
+GROUP = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9 ._:/@-]{0,198}[A-Za-z0-9._/@-])?", re.ASCII)
+OPTIONAL_OF_SIGN_IN = ("client_secret", "username_claim", "groups_claim", "scopes", "authorities")
 
 
 @dataclass(frozen=True)
@@ -35,7 +38,8 @@ class PoseSource:
 class ConsoleConfiguration:
     """Everything the process needs, secrets included. Without `sign_in` everybody who reaches it reads; without `poses`
     the map has none. `hosts`: names by which browsers reach it; `proxies`: whose word counts for who asks;
-    `authorities`: a file with those that may have signed the provider's certificate besides the usual ones."""
+    `writers`: who may ask for tasks; `authorities`: a file with those that may have signed the provider's certificate
+    besides the usual ones."""
 
     listen: files.Listen
     log_level: str
@@ -49,6 +53,7 @@ class ConsoleConfiguration:
     page: Path | None
     poses: PoseSource | None
     sign_in: SignIn | None
+    writers: tuple[Writers, ...]
     authorities: Path | None = None
 
 
@@ -75,6 +80,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ConsoleCo
         poses=_poses(reader, root),
         sign_in=_sign_in(reader, root),
         authorities=read_authorities(reader, root.get("sign_in") or {}, "sign_in"),
+        writers=tuple(_writers(reader, root.get("sign_in"))),
     )
 
 
@@ -115,8 +121,7 @@ def _sign_in(reader: Reader, root: Mapping[str, Any]) -> SignIn | None:
             reader.problems.append("sign_in: missing; or say that everybody who reaches it reads: anybody_reads: true")
         return None
     required = ["issuer", "client_id", "url", "groups"]
-    optional = ["client_secret", "username_claim", "groups_claim", "scopes", "authorities"]
-    given = reader.mapping(value, "sign_in", required, optional)
+    given = reader.mapping(value, "sign_in", required, [*OPTIONAL_OF_SIGN_IN, "writers"])
     groups = _words(reader, given.get("groups"), "sign_in.groups", TEXT)
     if not groups:
         reader.problems.append("sign_in.groups: must name one group or more, such as robotkube or robotkube:Owners")
@@ -131,6 +136,18 @@ def _sign_in(reader: Reader, root: Mapping[str, Any]) -> SignIn | None:
         groups_claim=reader.word(given.get("groups_claim"), "sign_in.groups_claim", WORD, "groups"),
         scopes=_words(reader, given.get("scopes") or SCOPES, "sign_in.scopes", SCOPE),
     )
+
+
+def _writers(reader: Reader, sign_in: Any) -> Sequence[Writers]:
+    """Who may ask for tasks, and where; nobody without sign-in."""
+    value = sign_in.get("writers") if isinstance(sign_in, Mapping) else None
+    writers = []
+    for index, item in enumerate(reader.sequence(value, "sign_in.writers")):
+        path = f"sign_in.writers[{index}]"
+        given = reader.mapping(item, path, ["group", "namespaces"])
+        group = reader.word(given.get("group"), f"{path}.group", GROUP)
+        writers.append(Writers(group, frozenset(_words(reader, given.get("namespaces"), f"{path}.namespaces", NAME))))
+    return writers
 
 
 def _words(reader: Reader, value: Any, path: str, pattern: re.Pattern[str]) -> tuple[str, ...]:

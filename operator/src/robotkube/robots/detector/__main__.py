@@ -174,6 +174,7 @@ class DetectorProcess:
             pages={
                 "/input": lambda: json.dumps(detector.input_document()),
                 "/events": lambda: json.dumps(detector.events_document()),
+                "/recordings": lambda: json.dumps(detector.recordings.document()),
                 "/status": lambda: json.dumps(status.document()),
             },
             port=self._pod.health_port,

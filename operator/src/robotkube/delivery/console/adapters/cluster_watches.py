@@ -15,7 +15,7 @@ from robotkube.delivery.console.adapters.cluster_documents import (
 )
 from robotkube.delivery.console.core import table as kinds
 from robotkube.delivery.console.core.documents import stranger_documents, task_document
-from robotkube.delivery.console.ports import Detector, ModelWriting
+from robotkube.delivery.console.ports import BridgePod, Detector, ModelWriting
 from robotkube.delivery.inspection.core.strangers import PLURAL as INSPECTIONS
 from robotkube.delivery.manager.adapters.kubernetes_cluster import AGENT_LABEL, read_node
 from robotkube.delivery.tasks.core.task_description import GROUP, PLURAL, VERSION
@@ -25,7 +25,7 @@ from robotkube.foundation.kubernetes.adapters.client import ResourceWatch, call
 
 LOOK_SECONDS = 1.0
 ALWAYS_THERE = ("nodes", "tasks", "pods")  # Argo CD may be away, and nobody may inspect
-DETECTOR_NAME = "event-detector"
+DETECTOR_NAME, BRIDGE_NAME = "event-detector", "mqtt-bridge"
 NAME_LABEL = "app.kubernetes.io/name"
 CONFIG_MAP_VARIABLE, SETTINGS_KEY = "ROBOTKUBE_CONFIGMAP", "config.yaml"
 ADVICE = "What is shown is as of then. Look at the API server, and at the rights of the account console."
@@ -91,6 +91,10 @@ class ClusterWatches:
         pods = self._pods.values().values()
         return [detector for pod in pods if (detector := pod["detector"]) is not None and detector.host]
 
+    def bridges(self) -> Sequence[BridgePod]:
+        """The bridges that are there now."""
+        return [pod["bridge"] for pod in self._pods.values().values() if pod["bridge"] is not None]
+
     def _node_changed(self, key: str, before: Any, now: Any) -> None:
         nodes = list(self._nodes.values().values())
         for name in {node.agent for node in (before, now) if node is not None}:
@@ -119,20 +123,33 @@ class ClusterWatches:
 
 
 def read_shown_pod(item: Object) -> dict[str, Any]:
-    """A pod as it is shown, and the event detector that it is, where it is one."""
+    """A pod as it is shown, and the event detector or bridge that it is, where it is one."""
     document = pod_document(item)
-    labels = item["metadata"].get("labels") or {}
-    is_detector = labels.get(NAME_LABEL) == DETECTOR_NAME and not document["deleting"]
-    return {"document": document, "detector": _detector(item, document) if is_detector else None}
+    name = "" if document["deleting"] else (item["metadata"].get("labels") or {}).get(NAME_LABEL)
+    detector = _detector(item, document) if name == DETECTOR_NAME else None
+    return {
+        "document": document,
+        "detector": detector,
+        "bridge": _bridge(item, document) if name == BRIDGE_NAME else None,
+    }
+
+
+def _bridge(item: Object, document: Object) -> BridgePod:
+    return BridgePod(f"{document['namespace']}/{document['name']}", document["release"], _host(item, document))
+
+
+def _host(item: Object, document: Object) -> str:
+    """The address of a pod's pages, empty while it is not ready."""
+    host = str((item.get("status") or {}).get("podIP") or "") if document["ready"] else ""
+    return f"[{host}]" if ":" in host else host
 
 
 def _detector(item: Object, document: Object) -> Detector:
-    spec, status = item.get("spec") or {}, item.get("status") or {}
+    spec = item.get("spec") or {}
     environment = (variable for one in spec.get("containers") or () for variable in one.get("env") or ())
     settings = next((str(v.get("value") or "") for v in environment if v["name"] == CONFIG_MAP_VARIABLE), "")
-    host = str(status.get("podIP") or "") if document["ready"] else ""
     name = f"{document['namespace']}/{document['name']}"
-    return Detector(name, document["release"], f"[{host}]" if ":" in host else host, settings.rpartition("/")[2])
+    return Detector(name, document["release"], _host(item, document), settings.rpartition("/")[2])
 
 
 class ConfigMapSettings:

@@ -74,6 +74,8 @@ def plan_document(plan: Object, manager: str) -> dict[str, Any]:
         "url": str(plan.get("url") or ""),
         "commit": str(plan.get("commit") or ""),
         "error": str(plan.get("error") or ""),
+        "waits": str(plan.get("waits") or ""),
+        "differences": plan.get("differences"),
         **{f"{name}_ms": ns_ms(plan.get(name)) for name in PLAN_TIMES},
     }
 
@@ -202,6 +204,7 @@ def _entry(entry: Object, running: Mapping[str, Sequence[str]]) -> dict[str, Any
     return {
         **{key: str(entry.get(key) or "") for key in words},
         "provides": list(entry.get("provides") or ()),
+        "parameters": entry.get("parameters") or {},
         "releases": sorted(running.get(digest, ())) if digest else [],
     }
 

@@ -17,7 +17,10 @@ from typing import Any
 
 AGENTS, POSES, TASKS, PLANS, RELEASES, PODS = "agents", "poses", "tasks", "plans", "releases", "pods"
 EVENTS, RULES, CATALOGUE, STRANGERS, SOURCES = "events", "rules", "catalogue", "strangers", "sources"
-KINDS = (AGENTS, POSES, TASKS, PLANS, RELEASES, PODS, EVENTS, RULES, CATALOGUE, STRANGERS, SOURCES)
+LINKS, RECORDINGS = "links", "recordings"
+KINDS = (
+    AGENTS, POSES, TASKS, PLANS, RELEASES, PODS, EVENTS, RULES, CATALOGUE, STRANGERS, LINKS, RECORDINGS, SOURCES,
+)  # fmt: skip
 GONE_MAX = 10_000
 
 Document = Mapping[str, Any]

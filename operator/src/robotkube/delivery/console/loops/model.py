@@ -7,7 +7,7 @@ read, where a chart version runs.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -24,6 +24,7 @@ from robotkube.delivery.console.core.table import ItemTable, TableChange
 from robotkube.foundation.runtime.ports import Series, by_one
 
 EVENTS_MAX = 5000
+RECORDINGS_MAX = 1000
 PREFIX = "robotkube_console_"
 
 Document = Mapping[str, Any]
@@ -157,6 +158,20 @@ class ReadModel:
                 table.put(kinds.EVENTS, key, document)
             _bound_events(table)
 
+    def put_recordings(self, documents: Documents) -> None:
+        """Recordings as their detector has them; what was told before stays, as long as there is place."""
+        with self._changing() as table:
+            for key, document in documents.items():
+                table.put(kinds.RECORDINGS, key, document)
+            _bound(table, kinds.RECORDINGS, RECORDINGS_MAX, lambda recording: recording["at_work"])
+
+    def leave_recordings(self, detectors: Collection[str]) -> None:
+        """Only these detectors are there: nobody is at work any more on recordings of others."""
+        with self._changing() as table:
+            for key, document in table.documents(kinds.RECORDINGS).items():
+                if document["at_work"] and document["detector"] not in detectors:
+                    table.put(kinds.RECORDINGS, key, {**document, "at_work": False})
+
     def put_source(self, name: str, problem: str, advice: str, carries: Sequence[str]) -> None:
         """A source answers (`problem` is empty), or does not and why."""
         with self._changing() as table:
@@ -198,20 +213,24 @@ def _demanded(table: ItemTable, release: Document) -> Document:
     return {**release, "demands": sorted(demands)}
 
 
-def _teller(event: Document) -> str:
-    """The namespace of the detector that told of an event."""
-    return str(event["detector"]).partition("/")[0]
+def _teller(item: Document) -> str:
+    """The namespace of the detector that told of an event or a recording."""
+    return str(item["detector"]).partition("/")[0]
+
+
+def _bound(table: ItemTable, kind: str, most: int, lasts: Callable[[Document], bool]) -> None:
+    """Items of detectors go when there are more than `most`: of the agent whose detectors told most, those that do not
+    last any more, then the oldest. Who tells without end so loses his own."""
+    if table.count(kind) <= most:
+        return
+    items = table.documents(kind)
+    newest_first = sorted(items, key=lambda key: (lasts(items[key]), items[key]["began_ms"] or 0))[::-1]
+    told: dict[str, list[str]] = {}
+    for key in newest_first:
+        told.setdefault(_teller(items[key]), []).append(key)
+    for _ in range(len(items) - most):
+        table.remove(kind, max(told.values(), key=len).pop())
 
 
 def _bound_events(table: ItemTable) -> None:
-    """Events go when there are too many: of the agent whose detectors told most, those that ended, then the oldest. Who
-    tells without end so loses his own."""
-    if table.count(kinds.EVENTS) <= EVENTS_MAX:
-        return
-    events = table.documents(kinds.EVENTS)
-    newest_first = sorted(events, key=lambda key: (events[key]["ended_ms"] is None, events[key]["began_ms"] or 0))[::-1]
-    told: dict[str, list[str]] = {}
-    for key in newest_first:
-        told.setdefault(_teller(events[key]), []).append(key)
-    for _ in range(len(events) - EVENTS_MAX):
-        table.remove(kinds.EVENTS, max(told.values(), key=len).pop())
+    _bound(table, kinds.EVENTS, EVENTS_MAX, lambda event: event["ended_ms"] is None)

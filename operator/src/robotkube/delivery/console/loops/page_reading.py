@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from robotkube.delivery.console.core import table as kinds
 from robotkube.delivery.console.core.documents import rule_documents
+from robotkube.delivery.console.core.recordings import recording_documents
 from robotkube.delivery.console.loops.model import ReadModel
 from robotkube.delivery.console.ports import Detector, ManagerPages, Pages, Settings
 from robotkube.errors import InputError, RobotKubeError
@@ -19,8 +20,8 @@ CATALOGUE_SECONDS = 15.0
 SETTINGS_SECONDS = 30.0
 DETECTORS = "detectors"
 MANAGER_ADVICE = "Plans and catalogue are as of then. Look at the pod of component manager."
-DETECTOR_ADVICE = "Values of events and rules are as of then. Look at the pods of the event detectors."
-UNREADABLE = (KeyError, TypeError, ValueError, AttributeError)
+DETECTOR_ADVICE = "Values of events, rules and recordings are as of then. Look at the pods of the event detectors."
+UNREADABLE = (KeyError, TypeError, ValueError, AttributeError, ArithmeticError)
 
 
 class ManagerReader:
@@ -93,7 +94,8 @@ class DetectorReader:
         for gone in set(self._settings_at) - {one.release for one in detectors}:
             del self._settings_at[gone]
             self._model.replace(kinds.RULES, {}, f"{gone}/")
-        carries = (kinds.EVENTS, kinds.RULES)
+        self._model.leave_recordings({one.pod for one in detectors})
+        carries = (kinds.EVENTS, kinds.RULES, kinds.RECORDINGS)
         self._model.put_source(DETECTORS, "; ".join(problems[:3]), DETECTOR_ADVICE, carries)
         return not problems
 
@@ -101,6 +103,7 @@ class DetectorReader:
         """Read one; why that failed, else empty."""
         try:
             self._model.put_events(self._pages.get(f"http://{detector.host}:8081/events"), detector.pod)
+            self._read_recordings(detector)
             if self._monotonic() - self._settings_at.get(detector.release, float("-inf")) >= SETTINGS_SECONDS:
                 document = self._settings.read(detector.release.partition("/")[0], detector.config_map)
                 self._model.replace(
@@ -112,6 +115,13 @@ class DetectorReader:
         except UNREADABLE as error:
             return f"{detector.pod}: a page that cannot be read: {error!r}"
         return ""
+
+    def _read_recordings(self, detector: Detector) -> None:
+        try:
+            page = self._pages.get(f"http://{detector.host}:8081/recordings")
+        except InputError:  # a detector of a version that has no such page
+            return
+        self._model.put_recordings(recording_documents(page, detector.pod.partition("/")[0], detector.pod))
 
     def run(self, stopping: threading.Event) -> None:
         """Read until `stopping` is set, and `wake` called."""

@@ -8,6 +8,7 @@ import random
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import urllib3
@@ -22,6 +23,7 @@ from robotkube.foundation.kubernetes.core.objects import object_key
 log = logging.getLogger(__name__)
 
 REQUEST_SECONDS_MAX = 10.0
+NO_HEADERS: Mapping[str, str] = MappingProxyType({})
 WATCH_SECONDS = 240
 SILENCE_SECONDS_MAX = WATCH_SECONDS + 20
 BACKOFF_SECONDS_MIN = 0.25
@@ -60,16 +62,16 @@ def call(
     body: Object | None = None,
     content_type: str = "application/json",
     seconds: float = REQUEST_SECONDS_MAX,
+    headers: Mapping[str, str] = NO_HEADERS,
 ) -> Any:
-    """The open answer of one request to the API server. UnavailableError when nobody answers or the fault passes,
-    InputError when it is refused, KeyError when there is no such object."""
-    headers = {"Accept": "application/json", "Content-Type": content_type}
+    """The open answer of one request to the API server, with further `headers`. UnavailableError when nobody answers or
+    the fault passes, InputError when it is refused, KeyError when there is no such object."""
     try:
         return api.call_api(
             path,
             method,
             query_params=list(query),
-            header_params=headers,
+            header_params={"Accept": "application/json", "Content-Type": content_type, **headers},
             body=body,
             auth_settings=["BearerToken"],
             _preload_content=False,

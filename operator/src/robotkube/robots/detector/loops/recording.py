@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from robotkube.robots.detector.core.settings import DetectorSettings
 from robotkube.robots.reactions.core.settings import RecordingReactionSettings
@@ -33,6 +33,10 @@ class RecordingReactions:
     def at_work(self) -> tuple[Recordings, ...]:
         """The recordings at work, one for each recording reaction."""
         return tuple(self._at_work.values())
+
+    def document(self) -> dict[str, Any]:
+        """The document of `GET /recordings`; from any thread."""
+        return {"recordings": [told for recordings in self.at_work for told in recordings.documents()]}
 
     @property
     def after_seconds(self) -> float:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -24,6 +25,8 @@ DEFINITIONS_BYTES_MAX = 4 * 1024 * 1024
 """A recording's document keeps definitions up to here; the database accepts 16 MiB of it."""
 LINGER_SECONDS = 2.0
 """How long messages are waited for whose stamps belong to a window that is over."""
+ENDED_MAX = 20
+"""So many recordings that have ended are still told of."""
 
 log = logging.getLogger(__name__)
 
@@ -63,6 +66,8 @@ class Recordings:
         self._ending: list[Recorder] = []
         self._planned: dict[str, RecordedTopic | None] = {}
         self._ended: dict[str, int] = {}
+        self._causes: dict[str, list[dict[str, Any]]] = {}  # of those that are open or ending
+        self._ended_documents: deque[dict[str, Any]] = deque(maxlen=ENDED_MAX)
         self._lock = threading.Lock()  # held while a recorder changes its list, so that nobody counts without it
 
     @property
@@ -105,6 +110,23 @@ class Recordings:
                 *(audit.document() for audit in self._journal.audits(recorder.recording)),
             ]
             for recorder in self.recorders
+        }
+
+    def documents(self) -> list[dict[str, Any]]:
+        """The recordings that are open or ending, and the last ENDED_MAX that have ended; from any thread. Holes are
+        looked for when an audit is closed, so the gaps of an open recording are those that were reported so far."""
+        with self._lock:
+            return [*self._ended_documents, *(self._told(recorder) for recorder in self.recorders)]
+
+    def _told(self, recorder: Recorder, ended: int | None = None) -> dict[str, Any]:
+        return {
+            "recording": recorder.recording,
+            "rule": self.plan.rule,
+            "volume": self._place.volume,
+            "began": recorder.life,
+            "ended": ended,
+            "causes": self._causes.get(recorder.recording, []),
+            "topics": recorder.audits(),
         }
 
     def start(self) -> None:
@@ -189,6 +211,8 @@ class Recordings:
             with self._lock:
                 self._ending.remove(recorder)
                 _add(self._ended, recorder)
+                self._ended_documents.append(self._told(recorder, now))
+                self._causes.pop(recorder.recording, None)
 
     def stop(self, seconds: float) -> bool:
         """Store what was offered and end all recordings, within `seconds`; True when the database has everything.
@@ -250,7 +274,9 @@ class Recordings:
 
     def _update_causes(self, opened: _OpenRecording) -> None:
         assert opened.windows is not None
-        opened.recorder.update({"causes": [cause.document() for cause in opened.windows.causes.values()]})
+        causes = [cause.document() for cause in opened.windows.causes.values()]
+        self._causes[opened.recorder.recording] = causes
+        opened.recorder.update({"causes": causes})
 
     def _offer_buffered(
         self, opened: _OpenRecording, edge: Trigger, before: Mapping[RecordedTopic, Sequence[Interval]], fresh: bool

@@ -18,6 +18,7 @@ from starlette.responses import JSONResponse, PlainTextResponse, Response, Strea
 from starlette.routing import Route
 
 from robotkube.delivery.console.adapters.web import streams
+from robotkube.delivery.console.adapters.web.asking import AskedParties, TaskRequests
 from robotkube.delivery.console.adapters.web.encoding import snapshot_text
 from robotkube.delivery.console.adapters.web.guarding import Guard
 from robotkube.delivery.console.adapters.web.page_files import PageFile, file_response
@@ -50,9 +51,12 @@ class ConsoleSurroundings:
 class Console:
     """The application (`app`, ASGI) over a model."""
 
-    def __init__(self, model: ModelReading, people: People, surroundings: ConsoleSurroundings) -> None:
+    def __init__(
+        self, model: ModelReading, people: People, asking: AskedParties, surroundings: ConsoleSurroundings
+    ) -> None:
         self._model = model
         self._people = people
+        self._requests = TaskRequests(people, asking)
         self._around = surroundings
         self._answers: Counter[str] = Counter()
         self.streams = streams.Streams(model, time.monotonic)
@@ -73,6 +77,7 @@ class Console:
             Route("/api/events", self._events),
             Route("/api/why/{kind}/{id:path}", self._why),
             *(Route(path, self._list(kind)) for path, kind in lists.items()),
+            *self._requests.routes(),
             Route("/auth/login", self._people.login),
             Route("/auth/callback", self._people.callback),
             Route("/auth/logout", self._people.logout, methods=["POST"]),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import secrets
 import time
+from collections.abc import Sequence
 from typing import Any
 
 from starlette.requests import Request
@@ -12,24 +13,33 @@ from starlette.responses import RedirectResponse, Response
 
 from robotkube.delivery.console.adapters.web.openid_connect import OpenIdConnect, authorization_url
 from robotkube.delivery.console.adapters.web.problems import LOGIN, ProblemError
+from robotkube.delivery.console.core.asking import Writers, group_for, writable
 from robotkube.delivery.console.core.sessions import SESSION_SECONDS, SIGNING_IN_SECONDS, Session, Sessions
-from robotkube.delivery.console.core.signing_in import SignIn, place_to_return
+from robotkube.delivery.console.core.signing_in import Person, SignIn, place_to_return
 from robotkube.errors import InputError, RobotKubeError
 
-ONLY_READS = "This console only reads. Ask for tasks by `robotkube task submit`."
+NOBODY_SIGNS_IN = "Nobody signs in here, so nobody writes. Ask for tasks by `robotkube task submit`."
+NO_WRITER = (
+    "None of your groups may ask for tasks here (console.signIn.writers). Ask for them by `robotkube task submit`."
+)
+NOT_HERE = "Your groups may ask for tasks in {}, not in {}. Who runs the platform lists both in console.signIn.writers."
 NOT_LISTED = (
     "Your account is in none of the groups that may read here. Ask whoever runs the platform (console.signIn.groups)."
 )
+FOREIGN = "Give the word of /api/session in the header X-CSRF-Token."
 CSRF_HEADER = "x-csrf-token"
 
 log = logging.getLogger(__name__)
 
 
 class People:
-    """Sessions of one console. Without `settings` everybody reads."""
+    """Sessions of one console. Without `settings` everybody reads, and nobody writes; `writers` may ask for tasks."""
 
-    def __init__(self, settings: SignIn | None, provider: OpenIdConnect | None = None) -> None:
+    def __init__(
+        self, settings: SignIn | None, provider: OpenIdConnect | None = None, writers: Sequence[Writers] = ()
+    ) -> None:
         self._settings = settings
+        self._writers = tuple(writers) if settings is not None else ()
         self._provider = provider or (OpenIdConnect(settings) if settings else None)
         self._sessions = Sessions(time.monotonic, lambda: secrets.token_urlsafe(32))
         prefix = "__Host-" if settings is not None and settings.encrypted else ""
@@ -49,6 +59,38 @@ class People:
         if not session.person.is_in(self._settings.groups):
             raise ProblemError(403, "Not in a listed group", NOT_LISTED)
 
+    def writer(self, request: Request) -> Person:
+        """Who asks to change something, which his session's word proves to be his own wish. Refused when he may ask
+        for tasks nowhere."""
+        if self._settings is None:
+            raise ProblemError(403, "Nobody writes here", NOBODY_SIGNS_IN)
+        self.check_reading(request)
+        session = self.session(request)
+        if session is None or not session.vouches(request.headers.get(CSRF_HEADER, "")):
+            raise ProblemError(403, "Not from this page", FOREIGN)
+        if not writable(session.person, self._writers):
+            raise ProblemError(403, "You may not ask for tasks", NO_WRITER)
+        return session.person
+
+    def asker(self, request: Request) -> str:
+        """Who asks a question that is dear to answer: a person whose session's word the request names, without sign-in
+        the address that it comes from."""
+        self.check_reading(request)
+        session = self.session(request)
+        if self._settings is None or session is None:
+            return request.client.host if request.client else ""
+        if not session.vouches(request.headers.get(CSRF_HEADER, "")):
+            raise ProblemError(403, "Not from this page", FOREIGN)
+        return session.person.name
+
+    def group(self, person: Person, namespace: str) -> str:
+        """The group by which somebody asks in a namespace. Refused when he may not."""
+        group = group_for(person, self._writers, namespace)
+        if not group:
+            detail = NOT_HERE.format(", ".join(writable(person, self._writers)), namespace)
+            raise ProblemError(403, "Not in this namespace", detail)
+        return group
+
     def may_read(self, request: Request) -> bool:
         """Whether a request's sender may read."""
         try:
@@ -61,14 +103,23 @@ class People:
         """The document of /api/session."""
         session = self.session(request) if self._settings is not None else None
         reads = self.may_read(request)
+        namespaces = writable(session.person, self._writers) if session and reads else ()
+        no_writer = NO_WRITER if self._settings is not None else NOBODY_SIGNS_IN
         return {
             "user": session.person.name if session else None,
             "groups": list(session.person.groups) if session else [],
             "may_read": reads,
-            "may_write": False,
+            "may_write": bool(namespaces),
+            "namespaces": list(namespaces),
             "csrf": session.csrf if session else None,
             "sign_in": LOGIN if self._settings is not None else None,
-            "why_not": ONLY_READS if reads else NOT_LISTED if session else "You are not signed in.",
+            "why_not": ""
+            if namespaces
+            else no_writer
+            if reads
+            else NOT_LISTED
+            if session
+            else "You are not signed in.",
         }
 
     async def login(self, request: Request) -> Response:
@@ -116,7 +167,7 @@ class People:
         """End the session."""
         session = self.session(request)
         if session is None or not session.vouches(request.headers.get(CSRF_HEADER, "")):
-            raise ProblemError(403, "Not from this page", "Give the word of /api/session in the header X-CSRF-Token.")
+            raise ProblemError(403, "Not from this page", FOREIGN)
         self._sessions.close(request.cookies.get(self._cookie, ""))
         answer = Response(status_code=204)
         self._set(answer, self._cookie, "", 0)

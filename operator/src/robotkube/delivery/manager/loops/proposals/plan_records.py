@@ -5,23 +5,28 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any
 
 from robotkube.delivery.deployment.core.commit_messages import INITIAL, CommitMessage, read_message
 from robotkube.delivery.deployment.core.releases import RELEASES
 from robotkube.delivery.manager.core.plans import ADD, CHANGE, REMOVE, Plan, answered_and_withdrawn
+from robotkube.delivery.manager.core.release_differences import ReleaseDifferences, release_differences
 from robotkube.errors import DocumentError
 from robotkube.foundation.forge.ports.repositories import Commit
 
 RECORDS_MAX = 1000
+DIFFERENCES_MAX = 100
+"""Of so many plans the changed values are remembered: those of an older one are in its commit."""
 TIMES = ("demand_seen", "started", "proposed", "merged", "synced", "observed")
 
 
 @dataclass
 class PlanRecord:
     """The record of one plan. `times` are ns since 1970, by the names in TIMES; `created`, `changed`, `removed` are
-    release keys; `waits` is reason and message for the tasks of a proposal that waits longer than usual; `unreachable`
-    are old pods on dead nodes: the plan is observed but for them."""
+    release keys; `differences` the values that change (None: nobody remembers them, the commit has them); `waits` is
+    reason and message for the tasks of a proposal that waits longer than usual; `unreachable` are old pods on dead
+    nodes: the plan is observed but for them."""
 
     id: str
     subject: str
@@ -34,6 +39,7 @@ class PlanRecord:
     created: tuple[str, ...] = ()
     changed: tuple[str, ...] = ()
     removed: tuple[str, ...] = ()
+    differences: ReleaseDifferences | None = None
     pull_request: int | None = None
     url: str = ""
     error: str | None = None
@@ -57,7 +63,9 @@ class PlanRecord:
             "created": list(self.created),
             "changed": list(self.changed),
             "removed": list(self.removed),
+            "differences": self.differences.as_json() if self.differences else None,
             "error": self.error,
+            "waits": self.waits[1] if self.waits and not self.on_main else None,
             "on_main": self.on_main,
             **{name: self.times.get(name) for name in TIMES},
         }
@@ -78,6 +86,8 @@ class PlanRecords:
         self._records[record.id] = record
         while len(self._records) > RECORDS_MAX:
             self._records.popitem(last=False)
+        for old in islice(reversed(self._records.values()), DIFFERENCES_MAX, DIFFERENCES_MAX + 1):
+            old.differences = None
         return record
 
     def has_merged(self, plan: str) -> bool:
@@ -109,6 +119,7 @@ def record_of(plan: Plan, demand_seen: int, started: int) -> PlanRecord:
         created=keys[ADD],
         changed=keys[CHANGE],
         removed=keys[REMOVE],
+        differences=release_differences(plan.changes),
         times={"demand_seen": demand_seen, "started": started},
     )
 

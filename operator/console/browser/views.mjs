@@ -1,0 +1,91 @@
+/**
+ * Every view and state before the synthetic fleet: node views.mjs MODE URL [FOLDER]. Each view is looked at on a desk and
+ * on a telephone, light and dark; nothing may complain, be wider than the window, or lack a name.
+ */
+import assert from "node:assert/strict";
+import { goTo, tooWide, openPage, picture, withBrowser } from "./pages.mjs";
+
+const [mode, url, folder] = process.argv.slice(2);
+
+const VIEWS = [
+  ["fleet", "agents"],
+  ["fleet/vehicle-00", "vehicle-00"],
+  ["tasks", "Tasks"],
+  ["tasks/ask", "Ask for an application"],
+  ["tasks/ask/pose-point-cloud-recording", "Ask for an application"],
+  ["plans", "Plans"],
+  ["recordings", "Recordings"],
+  ["agents", "Agents"],
+  ["catalogue", "Catalogue"],
+  ["trust", "Trust"],
+  ["sources", "Sources"],
+  ["why/release/vehicle-00/mqtt-bridge", "within 400 m"],
+];
+const STATES = {
+  live: VIEWS,
+  reader: [["tasks/ask/pose-point-cloud-recording", "Ask for an application"]],
+  buffered: [["fleet", "agents"]],
+  empty: VIEWS.slice(0, 1).concat(VIEWS.slice(2, 4), VIEWS.slice(5, 11)),
+  "signed-out": [["fleet", "Sign in to see the fleet"]],
+  forbidden: [["fleet", "You may not read this"]],
+  away: [["fleet", "The fleet"]],
+};
+
+/** Buttons, links and fields that a screen reader has no name for. */
+const nameless = (page) =>
+  page.evaluate(() => {
+    const named = (one) =>
+      (one.getAttribute("aria-label") ?? one.textContent ?? "").trim() ||
+      [...(one.labels ?? [])].some((label) => label.textContent.trim()) ||
+      one.getAttribute("aria-labelledby");
+    const found = [...document.querySelectorAll("a, button, input, select, textarea, canvas[tabindex], [role=region]")];
+    return found.filter((one) => !named(one)).map((one) => one.outerHTML.slice(0, 120));
+  });
+
+async function look(browser, size, dark) {
+  const { page, complaints } = await openPage(browser, url, { size, dark });
+  for (const [place, heading] of STATES[mode]) {
+    await goTo(page, place, heading);
+    await page.waitForTimeout(150);
+    const what = `${mode} ${place} ${size}`;
+    assert.deepEqual(await tooWide(page), [], `${what}: wider than the window`);
+    assert.deepEqual(await nameless(page), [], `${what}: without a name`);
+    assert.equal(await page.locator("h1").count(), 1, `${what}: not one heading`);
+    await picture(page, folder, `${mode}-${place.replaceAll("/", "_")}-${size}${dark ? "-dark" : ""}`);
+  }
+  assert.deepEqual(complaints, []);
+  await page.context().close();
+}
+
+/** By keyboard alone: choose an application, fill the form, see what would happen, submit. */
+async function ask(browser) {
+  const { page, complaints } = await openPage(browser, `${url}#/tasks/ask/pose-point-cloud-recording`);
+  const submit = page.getByRole("button", { name: "Submit" });
+  await submit.waitFor();
+  assert.equal(await submit.isDisabled(), true, "before one has seen what would happen");
+  await page.getByRole("button", { name: "See what would happen" }).click();
+  await page.getByText("vehicles is missing.").waitFor();
+  const vehicles = page.getByLabel("vehicles", { exact: false });
+  await vehicles.focus();
+  await page.keyboard.type("nobody");
+  await page.keyboard.press("Enter");
+  await page.getByText("did you mean vehicle-00?").waitFor();
+  await vehicles.fill("vehicle-00, vehicle-01");
+  await page.keyboard.press("Enter");
+  await page.getByText("would be accepted").waitFor();
+  await page.locator("summary").first().click();
+  await picture(page, folder, "asked-desk");
+  await submit.click();
+  await page.waitForURL(/#\/why\/task\//);
+  await goTo(page, "tasks/withdraw/cloud-0/meeting", "Withdraw cloud-0/meeting");
+  await page.getByText("would be withdrawn").first().waitFor();
+  await picture(page, folder, "withdraw-desk");
+  assert.deepEqual(complaints, []);
+}
+
+await withBrowser(async (browser) => {
+  await look(browser, "desk", false);
+  await look(browser, "phone", true);
+  if (mode === "live") await ask(browser);
+});
+console.log(`${mode}: as it should be`);

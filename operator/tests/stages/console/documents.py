@@ -1,0 +1,105 @@
+"""Documents of a synthetic fleet: what a plan changes, what a recording has, and what a manager says of a task."""
+
+from __future__ import annotations
+
+from typing import Any
+
+Document = dict[str, Any]
+RULE = "lidar-proximity"
+NOT_READY = "The bridge's pod is not ready."
+NAMES = {"type": "string", "pattern": "^[a-z0-9]([a-z0-9-]*[a-z0-9])?$"}
+PARAMETERS: Document = {
+    "type": "object",
+    "required": ["vehicles"],
+    "properties": {
+        "vehicles": {
+            "description": "agents whose data are recorded",
+            "type": "array",
+            "items": NAMES,
+            "minItems": 1,
+            "maxItems": 8,
+            "examples": [["vehicle-00", "vehicle-01"]],
+        },
+        "rate": {"description": "clouds a second", "type": "number", "minimum": 1, "maximum": 20, "default": 10},
+        "storage": {"enum": ["document", "segment"]},
+    },
+}
+
+
+def differences(agents: list[str]) -> Document:
+    values = [
+        {"release": f"cloud-0/recorder-{agents[0]}", "path": path, "before": None, "after": after}
+        for path, after in (("chart", '"event-detector"'), ("version", '"0.2.2"'))
+    ]
+    for name in agents:
+        release, path = f"{name}/mqtt-bridge", "bridge.topics[2].name"
+        topic = f'"/vehicles/{name.replace("-", "_")}/lidar_center/pointcloud"'
+        values.append({"release": release, "path": path, "before": None, "after": topic})
+        values.append({"release": release, "path": "bridge.topics[0].depth", "before": "10", "after": "1000"})
+    return {"values": values, "more": 3}
+
+
+def recording(number: int, event: Document) -> Document:
+    """The recording of an event."""
+    began, ended = event["began_ms"], event["ended_ms"]
+    counts = {"received": 4_200, "stored": 4_190, "early": 0, "duplicates": 0, "dropped": 10 if number % 3 == 1 else 0}
+    topics = [f"/vehicles/{name.replace('-', '_')}/{what}" for name in event["agents"] for what in ("pose", "cloud")]
+    gap = {"topic": topics[0], "where": "mqtt-bridge", "why": "outbox full", "count": 10, "first_ms": began + 900}
+    gaps = [gap | {"last_ms": began + 1900}] if number % 3 == 1 else []
+    window = {"event": event["id"], "agents": event["agents"], "began_ms": began, "ended_ms": ended}
+    each = {"first_ms": began - 9_000, "last_ms": ended, "gap_count": 0, **{k: v // 4 for k, v in counts.items()}}
+    return {
+        "recording": f"encounter-{event['id']}",
+        "agent": "cloud-0",
+        "rule": RULE,
+        "detector": "cloud-0/event-detector-0",
+        "volume": "cloud-0/recordings",
+        "at_work": ended is None,
+        "began_ms": began,
+        "ended_ms": None if number % 5 == 0 else ended,
+        "windows": [window],
+        "topics": [{"topic": topic, **each} for topic in topics],
+        **counts,
+        "gap_count": len(gaps),
+        "gaps": gaps,
+    }
+
+
+def explanation(question: Document) -> Document:
+    """What a manager would say of a question about a task."""
+    if "withdraw" in question:
+        lines = [
+            f"{question['withdraw']} would be withdrawn",
+            "stops cloud-0/recorder-vehicle-00 (event-detector 0.2.2)",
+        ]
+        change = {"path": "releases/cloud-0/recorder-vehicle-00.yaml", "before": "kind: HelmRelease\n", "after": None}
+        said = {
+            "outcome": "Withdrawn",
+            "reason": "Withdrawn",
+            "message": "",
+            "releases": ["cloud-0/recorder-vehicle-00"],
+        }
+        return {"task": question["withdraw"], **said, "waits": "", "lines": lines, "changes": [change]}
+    vehicles = question["parameters"].get("vehicles", [])
+    key = f"{question['namespace']}/{question['application']}-preview"
+    if any(not name.startswith("vehicle-") for name in vehicles):
+        message = f"vehicles: {vehicles[0]!r} is no agent; did you mean vehicle-00?"
+        refused = {"outcome": "Refused", "reason": "InvalidParameters", "message": message, "releases": []}
+        lines = [f"{key} is refused, InvalidParameters: {message}"]
+        return {"task": key, **refused, "waits": "", "lines": lines, "changes": []}
+    release = f"cloud-0/recorder-{'-'.join(vehicles)}"
+    changes = [
+        {"path": f"releases/{release}.yaml", "before": None, "after": "kind: HelmRelease\nspec:\n  values: {}\n"},
+        {"path": "releases/vehicle-00/mqtt-bridge.yaml", "before": BRIDGE, "after": BRIDGE.replace("10", "1000")},
+    ]
+    lines = [
+        f"{key} is accepted; its releases: {release}",
+        "recorder: cloud-0, which records and has 2 CPUs free",
+        f"starts {release} (event-detector 0.2.2)",
+        "changes vehicle-00/mqtt-bridge (mqtt-bridge 0.2.2)",
+    ]
+    accepted = {"outcome": "Accepted", "reason": "Accepted", "message": "", "releases": [release]}
+    return {"task": key, **accepted, "waits": "vehicle-01 until 10:00 (driving)", "lines": lines, "changes": changes}
+
+
+BRIDGE = "kind: HelmRelease\nspec:\n  values:\n    bridge:\n      topics:\n      - name: /pose\n        depth: 10\n"
