@@ -1,7 +1,9 @@
-"""`helm lint --strict` has nothing to say about any chart, as it lies there and with the values of its profiles."""
+"""`helm lint --strict` has nothing to say about any chart, as it lies there and with the values of its profiles, and
+every value says what it is."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -82,3 +84,19 @@ def test_a_mistake_is_found(helm: Any, tmp_path: Path) -> None:
     chart, _ = wrong_interfaces.write_chart("text-relay", {}, tmp_path)
     (chart / "templates" / "wrong.yaml").write_text("kind: {{ .Values.nothing.there }}\n")
     assert "nil pointer evaluating" in lint(helm, chart)
+
+
+def test_every_value_has_prose() -> None:
+    def silent(schema: Any, path: str) -> list[str]:
+        if not isinstance(schema, dict):
+            return []
+        found = []
+        for key, value in schema.get("properties", {}).items():
+            described = "description" in value or "$ref" in value or "enum" in value or set(value) <= {"type"}
+            found += [] if described else [f"{path}.{key}"]
+            found += silent(value, f"{path}.{key}")
+        return found + silent(schema.get("items"), f"{path}[]")
+
+    for schema in CHARTS.glob("**/values.schema.json"):
+        if not schema.parent.is_symlink():
+            assert silent(json.loads(schema.read_text()), schema.parent.name) == []

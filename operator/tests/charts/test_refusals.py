@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -477,22 +476,6 @@ def test_the_event_detector_says_all_problems_at_once(helm: Any) -> None:
     said = helm.refusal(CHARTS / "apps" / "event-detector", PROFILES / "event-detector.yaml", **values)
     assert "event-detector: 8 problem(s) in the values" in said
     assert [line.split(".")[0].strip() for line in said.splitlines() if line.startswith("  ")] == list("12345678")
-
-
-def test_every_value_has_prose() -> None:
-    def silent(schema: Any, path: str) -> list[str]:
-        if not isinstance(schema, dict):
-            return []
-        found = []
-        for key, value in schema.get("properties", {}).items():
-            described = "description" in value or "$ref" in value or "enum" in value or set(value) <= {"type"}
-            found += [] if described else [f"{path}.{key}"]
-            found += silent(value, f"{path}.{key}")
-        return found + silent(schema.get("items"), f"{path}[]")
-
-    for schema in CHARTS.glob("**/values.schema.json"):
-        if not schema.parent.is_symlink():
-            assert silent(json.loads(schema.read_text()), schema.parent.name) == []
 
 
 def test_a_packed_chart_takes_its_image_from_images_yaml(helm: Any, tmp_path: Path) -> None:

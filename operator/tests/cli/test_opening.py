@@ -31,6 +31,10 @@ class PlatformInMemory:
             raise InputError(f"no Service {service}")
         return self.services[service]
 
+    def forge_url(self) -> str:
+        host, port = self.address("forge")
+        return f"http://{host}:{port}"
+
     def forge_secret(self, account: str) -> str:
         return f"-n robotkube get secret forge-account-{account}" if account in self.viewers else ""
 

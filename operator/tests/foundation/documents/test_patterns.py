@@ -42,6 +42,13 @@ NO_IDENTIFIERS = {
     ("registry/charts/core/challenges.py", "_SCHEME"): "a word of an HTTP header",
     ("registry/charts/core/challenges.py", "_PARAMETER"): "a parameter of an HTTP header",
     ("registry/suites/core/bill_comparison.py", "ESCAPED"): "bytes of a package's address that are escaped",
+    (
+        "registry/bundles/core/contents.py",
+        "_VERSION",
+    ): "what may be a part of a file's name, in an archive of strangers",
+    ("delivery/console/settings.py", "GROUP"): "a group as providers of sign-in name theirs",
+    ("delivery/console/core/links.py", "_SERIES"): "a line of a bridge's metrics",
+    ("delivery/console/adapters/web/guarding.py", "HOST_HEADER"): "an HTTP header",
 }
 SCHEMAS_ALONE = {
     r"\{\{": "a value template",

@@ -8,6 +8,7 @@ import httpx
 
 from robotkube.delivery.preflight.core.findings import without_accounts
 from robotkube.delivery.preflight.core.registries import HUB, HUB_API, RegistryAnswer
+from robotkube.errors import InputError
 from robotkube.foundation.certificates.adapters.certificate_authorities import certificate_authorities
 
 SECONDS_MAX = 4.0
@@ -16,10 +17,14 @@ NOT_REACHED = RegistryAnswer(silent="its name is the cluster's own, and its Serv
 
 
 class RegistryQuestions:
-    """Asks registries by HTTPS, and believes the usual authorities and that of the file `authority`."""
+    """Asks registries by HTTPS, and believes the usual authorities and that of the file `authority`; InputError when it
+    has none."""
 
     def __init__(self, authority: Path | None = None) -> None:
-        self._context = certificate_authorities(trust_env=False, more=authority)
+        try:
+            self._context = certificate_authorities(trust_env=False, more=authority)
+        except InputError as error:
+            raise InputError(f"{authority}: no certificate of an authority as PEM") from error
 
     def ask(self, host: str) -> RegistryAnswer:
         """What the registry at a host says."""
