@@ -143,7 +143,7 @@ class Rights:
     def __init__(self, official: Any, folder: Path, broker: Running) -> None:
         path = mounted(official, "rights", folder)
         document = yaml.safe_load(path.read_text())
-        assert document["broker"]["authorities"] == "/etc/robotkube/authorities/ca.crt"
+        assert document["broker"]["authorities"] == str(folder / "authorities/ca.crt")
         at = {"host": "127.0.0.1", "port": broker.port, "authorities": str(broker.tls.authorities)}
         document["broker"] |= at
         document["listen"] = {"address": "127.0.0.1", "port": 0, "health_port": 0}

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.toolchain
 PLATFORM = CHARTS / "robotkube"
 PROFILE = Path(__file__).parent / "profiles" / "official.yaml"
 TEST_NAMESPACES = ("robotkube-suite-0", "robotkube-suite-1")
-CERTIFICATES = {"tls-authority", "broker-tls", "database-tls"}  # what the process that keeps certificates fills
+CERTIFICATES = {"tls-authority", "broker-tls", "database-tls", "forge-tls"}  # what the process that keeps certificates fills
 GATE_KEYS = {"official": "gate-key", "embedded": "kept-gate-key"}
 
 Object = dict[str, Any]
@@ -46,7 +46,7 @@ def test_only_the_gate_mounts_the_key_and_stands_where_it_is(platform: Any, prof
     # What an older installation has under this name, in the platform's namespace, is moved by the Job.
     assert {process.rpartition("-")[0] for process in mounting} <= {"gate-key"}
     optional = {"Deployment/remover", "Deployment/console"} & set(dict(platform.pods))
-    assert len(platform.pods) == 11 + len(optional) + len(mounting)
+    assert len(platform.pods) == 12 + len(optional) + len(mounting)
 
 
 def test_the_namespace_of_the_gate_holds_what_the_gate_needs(platform: Any) -> None:

@@ -27,7 +27,7 @@ def test_a_checkout_is_measured_in_a_process_of_its_own() -> None:
 
 def test_main_moves_with_each_decision() -> None:
     class Validating:
-        def __call__(self, *asked: object) -> list[str]:
+        def validate(self, *asked: object) -> list[str]:
             return []
 
     manager = decisions.Manager(Validating())

@@ -81,8 +81,9 @@ def make_project(objects: client.CustomObjectsApi) -> None:
 
 
 def bootstrap_kubeconfig(server: ApiServerProcess, folder: Path) -> Path:
-    """A kubeconfig of ServiceAccount `bootstrap` with exactly the rules of the platform chart's Role."""
-    api, text = connect(server), ROLE.read_text()
+    """A kubeconfig of ServiceAccount `bootstrap` with the rules of the platform chart's Role, with TLS at the forge."""
+    api, lines = connect(server), ROLE.read_text().splitlines(keepends=True)
+    text = "".join(line for line in lines if "{{" not in line)
     core, rbac = client.CoreV1Api(api), client.RbacAuthorizationV1Api(api)
     account, role = {"metadata": {"name": "bootstrap"}}, {"metadata": {"name": "robotkube-bootstrap"}}
     rules = yaml.safe_load(text[text.index("\nrules:") :])["rules"]
