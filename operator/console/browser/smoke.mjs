@@ -12,7 +12,12 @@ await withBrowser(async (browser) => {
   const { page, complaints } = await openPage(browser, url);
 
   await page.getByText("live", { exact: true }).waitFor();
-  await page.getByRole("link", { name: agent }).first().click();
+  // Events name agents, too.
+  await page
+    .getByRole("region", { name: /agents?$/ })
+    .getByRole("link", { name: agent })
+    .first()
+    .click();
   await page.getByRole("heading", { name: agent, exact: true }).waitFor();
   await page.getByRole("heading", { name: "Links to the broker" }).waitFor();
   await page
@@ -36,7 +41,7 @@ await withBrowser(async (browser) => {
   await page.getByRole("navigation").getByRole("link", { name: "Tasks" }).click();
   await page.getByRole("link", { name: "Ask for an application" }).click();
   await page.getByLabel("Application").selectOption(application);
-  await page.getByLabel(name, { exact: false }).fill(value);
+  await page.getByRole("textbox", { name }).first().fill(value);
   await page.getByRole("button", { name: "See what would happen" }).click();
   await page.getByRole("heading", { name: "What would happen" }).waitFor();
   assert.equal(await page.getByRole("button", { name: "Submit" }).count(), 0, "nobody signs in, so nobody submits");

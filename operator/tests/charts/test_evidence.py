@@ -19,7 +19,12 @@ pytestmark = pytest.mark.toolchain
 PLATFORM = CHARTS / "robotkube"
 PROFILE = Path(__file__).parent / "profiles" / "official.yaml"
 TEST_NAMESPACES = ("robotkube-suite-0", "robotkube-suite-1")
-CERTIFICATES = {"tls-authority", "broker-tls", "database-tls", "forge-tls"}  # what the process that keeps certificates fills
+CERTIFICATES = {
+    "tls-authority",
+    "broker-tls",
+    "database-tls",
+    "forge-tls",
+}  # what the process that keeps certificates fills
 GATE_KEYS = {"official": "gate-key", "embedded": "kept-gate-key"}
 
 Object = dict[str, Any]
