@@ -135,10 +135,10 @@ class BoundedProcess:
         asked = self._ahead.popleft()
         try:
             asked.answer = json.loads(self._line())
+            asked.done = True
         except Exception as error:
-            asked.error = error
+            asked.error, asked.done = error, True
             self._begin_again()
-        asked.done = True
 
     def _placed(self, subject: Any) -> tuple[int, str]:
         """The place at which the process has the subject, and the line that puts it there; empty when it is there."""
