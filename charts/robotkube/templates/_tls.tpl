@@ -168,8 +168,8 @@ exec docker-entrypoint.sh mongod "$@"
 {{- end }}
 
 {{- /* Runs the forge. It reads certificate and key at its start alone, but on SIGHUP it starts a second process that takes over the open
-       port, and ends when it has answered what it was asked: no request is lost. So this shell stays, and knows the one that serves by
-       its file; when there is none a second time, the forge has ended. */ -}}
+       port, and ends when it has answered what it was asked. A connection that it accepts as its last it ends unread: who made that asks
+       again. So this shell stays, and knows the one that serves by its file; when there is none a second time, the forge has ended. */ -}}
 {{- define "robotkube.forgeProgram" -}}
 {{- $run := "/run/forge" -}}
 serving() { kill "-$1" "$(cat {{ $run }}/pid)" 2> /dev/null; }

@@ -15,7 +15,7 @@ from pygit2.enums import FileMode
 
 from robotkube.errors import AccountRefusedError, DocumentError, InputError, UnavailableError
 from robotkube.foundation.forge.adapters.git.commit_objects import LOOSE_MAX, pack_loose, store_objects
-from robotkube.foundation.forge.adapters.git.connection import GitConnection, look_up, open_clone, what_failed
+from robotkube.foundation.forge.adapters.git.connection import GitConnection, fetch, look_up, open_clone, what_failed
 from robotkube.foundation.forge.core.commit_objects import CommitObjects
 from robotkube.foundation.forge.ports.repositories import Commit, CommitShape
 from robotkube.writes import writes
@@ -95,10 +95,9 @@ class GitClone:
         return tip == commit or (tip != "" and self._repository.descendant_of(tip, git_commit.id))
 
     def _fetch(self, specifications: list[str]) -> None:
-        connection = GitConnection(self._account)
         main = f"+refs/heads/{self._branch}:refs/heads/{self._branch}"
         try:
-            self._repository.remotes["origin"].fetch([main, *specifications], callbacks=connection)
+            fetch(self._repository.remotes["origin"], [main, *specifications], self._account)
         except (pygit2.GitError, PermissionError, OSError) as error:
             raise self._unavailable("fetch", error) from error
 

@@ -5,11 +5,16 @@ from __future__ import annotations
 
 import contextlib
 import ipaddress
+import random
+import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pygit2
+from pygit2.enums import FetchPrune
 
+from robotkube.backoffs import backoff
 from robotkube.errors import InputError
 from robotkube.foundation.certificates.adapters.certificate_authorities import changed_at, refusal_of, trusted
 
@@ -23,6 +28,14 @@ BY_ADDRESS = (
 
 pygit2.settings.server_connect_timeout = TIMEOUT_MILLISECONDS
 pygit2.settings.server_timeout = TIMEOUT_MILLISECONDS
+
+FETCHES_MAX = 3  # of one fetch whose connection the forge ended; then it is not the change to a renewed certificate
+PAUSE_SECONDS_FIRST, PAUSE_SECONDS_MAX = 0.1, 0.2  # between them
+ENDED = (
+    "reset by peer",
+    "unexpected EOF",
+    "SSL error",
+)  # libgit2's words, of TLS in many ways; no number comes with them
 
 _read: dict[Path, int] = {}
 
@@ -40,6 +53,25 @@ def what_failed(error: Exception, url: str) -> str:
     """What a connection to `url` met, in words. libgit2 does not say why it refused a certificate: that is asked."""
     text = str(error)
     return (refusal_of(url) or text) if "certificate" in text or "SSL" in text else text
+
+
+def fetch(
+    remote: pygit2.Remote,
+    specifications: Sequence[str],
+    account: tuple[str, str],
+    prune: FetchPrune = FetchPrune.UNSPECIFIED,
+) -> None:
+    """Fetch by a connection of its own, and by another one when the forge ends that meanwhile, as it does when it takes
+    a renewed certificate: at most FETCHES_MAX. GitError or PermissionError: the forge is away or refuses."""
+    for attempt in range(FETCHES_MAX - 1):
+        try:
+            remote.fetch(list(specifications), callbacks=GitConnection(account), prune=prune)
+            return
+        except pygit2.GitError as error:
+            if not any(words in str(error) for words in ENDED):
+                raise
+        time.sleep(backoff(attempt, PAUSE_SECONDS_FIRST, PAUSE_SECONDS_MAX, random.random))
+    remote.fetch(list(specifications), callbacks=GitConnection(account), prune=prune)
 
 
 class GitConnection(pygit2.RemoteCallbacks):

@@ -12,7 +12,7 @@ from pygit2.enums import FetchPrune
 
 from robotkube.errors import DocumentError, InputError, UnavailableError
 from robotkube.foundation.forge.adapters.git.clones import GitClone
-from robotkube.foundation.forge.adapters.git.connection import GitConnection, open_clone, what_failed
+from robotkube.foundation.forge.adapters.git.connection import fetch, open_clone, what_failed
 from robotkube.foundation.forge.adapters.git.notes import ALL_NOTES
 from robotkube.foundation.forge.core.histories import HistoryCommit, NoteEdit, NoteHistory
 
@@ -164,9 +164,7 @@ def fetch_history(url: str, repository: str, username: str, password: str, folde
     former = str(before.target) if before else ""
     main = f"+refs/heads/{branch}:refs/heads/{branch}"
     try:
-        clone.remotes["origin"].fetch(
-            [main, ALL_NOTES], callbacks=GitConnection((username, password)), prune=FetchPrune.PRUNE
-        )
+        fetch(clone.remotes["origin"], [main, ALL_NOTES], (username, password), FetchPrune.PRUNE)
     except (pygit2.GitError, PermissionError, OSError) as error:
         raise UnavailableError(f"git {url}/{repository}: fetch: {what_failed(error, url)}") from error
     return former

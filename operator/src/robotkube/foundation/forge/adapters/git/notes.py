@@ -8,7 +8,13 @@ from pathlib import Path
 import pygit2
 
 from robotkube.errors import UnavailableError
-from robotkube.foundation.forge.adapters.git.connection import EMAIL_DOMAIN, GitConnection, open_clone, what_failed
+from robotkube.foundation.forge.adapters.git.connection import (
+    EMAIL_DOMAIN,
+    GitConnection,
+    fetch,
+    open_clone,
+    what_failed,
+)
 from robotkube.writes import writes
 
 REFERENCE = "refs/notes/robotkube"
@@ -42,8 +48,7 @@ class GitNotes:
 
     def _fetch(self) -> None:
         try:
-            remote = self._repository.remotes["origin"]
-            remote.fetch([ALL_NOTES], callbacks=GitConnection(self._account))
+            fetch(self._repository.remotes["origin"], [ALL_NOTES], self._account)
         except (pygit2.GitError, PermissionError, OSError) as error:
             raise UnavailableError(f"notes: fetch: {what_failed(error, self._url)}") from error
 

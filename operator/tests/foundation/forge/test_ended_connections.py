@@ -1,0 +1,63 @@
+"""Git from a server that ends connections, as a forge does whose port passes to another process."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from robotkube.errors import UnavailableError
+from robotkube.foundation.forge.adapters.git import GitClone
+
+ANSWER = b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+RESET = struct.pack("ii", 1, 0)
+
+
+@contextmanager
+def server(ended: int) -> Iterator[tuple[str, list[bool]]]:
+    """One that resets so many connections and then says that there is no such repository; which it has answered."""
+    answered: list[bool] = []
+
+    def serve() -> None:
+        while True:
+            connection, _ = listening.accept()
+            with connection:
+                if connection.recv(4096) == b"":
+                    return
+                answered.append(len(answered) >= ended)
+                if answered[-1]:
+                    connection.sendall(ANSWER)
+                else:
+                    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
+
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        port = listening.getsockname()[1]
+        thread = threading.Thread(target=serve)
+        thread.start()
+        try:
+            yield f"http://localhost:{port}", answered
+        finally:
+            socket.create_connection(("127.0.0.1", port)).close()
+            thread.join()
+
+
+@pytest.mark.parametrize("ended", [0, 1, 2])
+def test_what_is_fetched_is_asked_for_again(ended: int, tmp_path: Path) -> None:
+    with server(ended) as (url, answered):
+        clone = GitClone(url, "robotkube/catalogue", "gate", "word", tmp_path / "clone")
+        with pytest.raises(UnavailableError, match="404"):
+            clone.fetch()
+    assert answered == [*[False] * ended, True]
+
+
+def test_who_ends_every_connection_is_away(tmp_path: Path) -> None:
+    with server(100) as (url, answered):
+        clone = GitClone(url, "robotkube/catalogue", "gate", "word", tmp_path / "clone")
+        with pytest.raises(UnavailableError, match=r"fetch: (.*reset by peer|unexpected EOF)"):
+            clone.fetch()
+    assert answered == [False] * 3
