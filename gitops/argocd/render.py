@@ -99,6 +99,18 @@ ENVIRONMENT: dict[str, list[Object]] = {
 # client.key for them. Who installs makes it before; a program that started without it would answer, or ask, without.
 CLIENTS = "argocd-repo-server-mtls"
 CLIENTS_KEYS = {"client-ca.crt", "client.crt", "client.key"}
+# The password of Argo CD's cache: a Secret that an init container of the cache makes, read from a file by everybody. Where
+# it is made, its file comes later than the pod; the program gets it as settings, not as an argument that can be listed.
+CACHE, PASSWORD, PASSWORD_FOLDER = "argocd-redis", "REDIS_PASSWORD", "/etc/argocd-redis"
+PASSWORD_FILE = {"name": "REDIS_CREDS_DIR_PATH", "value": PASSWORD_FOLDER}
+CACHE_PROGRAM = f"""\
+until [ -s {PASSWORD_FOLDER}/auth ]; do sleep 0.2; done
+exec redis-server - <<settings
+save ""
+appendonly no
+requirepass $(cat {PASSWORD_FOLDER}/auth)
+settings
+"""
 # Workloads whose account is needed by one init container alone: this one gets the token, what runs afterwards does not.
 TOKEN_WHILE_STARTING = {"argocd-redis": "secret-init"}
 TOKEN_FOLDER = "/var/run/secrets/kubernetes.io/serviceaccount"  # noqa: S105 - where every client looks for it
@@ -167,6 +179,7 @@ def _adapt_workload(workload: Object, images: Mapping[str, str]) -> None:
     pod.pop("affinity", None)  # one node: spreading is work for the scheduler and no gain
     for container in [*pod.get("initContainers", []), *pod["containers"]]:
         _adapt_container(name, container, images)
+    _read_password_from_file(name, pod)
     if name in TOKEN_WHILE_STARTING:
         _withhold_token(pod, TOKEN_WHILE_STARTING[name])
 
@@ -178,6 +191,22 @@ def _version(pod: Object) -> str:
         if IMAGES.get(repository) == "argocd":
             return str(tag)
     return ""
+
+
+def _read_password_from_file(workload: str, pod: Object) -> None:
+    """Who has the cache's password as a variable gets it as a file."""
+    for container in pod["containers"]:
+        variables = [one for one in container["env"] if one["name"] != PASSWORD]
+        if len(variables) == len(container["env"]):
+            continue
+        makes_it = workload == CACHE
+        container["env"] = variables if makes_it else [*variables, PASSWORD_FILE]
+        if makes_it:
+            container.update(command=["sh", "-ec", CACHE_PROGRAM], args=[])
+        mount = {"name": CACHE, "mountPath": PASSWORD_FOLDER, "readOnly": True}
+        container["volumeMounts"] = [*container.get("volumeMounts", []), mount]
+        secret = {"secretName": CACHE, "items": [{"key": "auth", "path": "auth"}], "optional": makes_it}
+        pod["volumes"] = [*pod.get("volumes", []), {"name": CACHE, "secret": secret}]
 
 
 def _withhold_token(pod: Object, container: str) -> None:

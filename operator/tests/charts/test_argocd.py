@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -141,8 +144,7 @@ def test_other_accounts_have_rights_in_their_namespace_only(argocd: list[Object]
     assert roles == {name: given[name] for name in roles}
 
 
-def test_a_secret_is_a_variable_where_argo_cd_reads_it_from_one_alone(argocd: list[Object]) -> None:
-    """Its cache's password; the other one only has a container wait for its key."""
+def test_no_secret_is_a_variable_but_one_that_a_container_waits_for(argocd: list[Object]) -> None:
     pods = {
         one["metadata"]["name"]: one["spec"]["template"]["spec"] for one in argocd if "template" in one.get("spec", {})
     }
@@ -153,11 +155,36 @@ def test_a_secret_is_a_variable_where_argo_cd_reads_it_from_one_alone(argocd: li
         for variable in container.get("env", [])
         if "secretKeyRef" in variable.get("valueFrom", {})
     }
-    parts = ("application-controller", "redis", "repo-server", "server")
-    assert found == {
-        *((f"argocd-{part}", "REDIS_PASSWORD") for part in parts),
-        ("argocd-applicationset-controller", "ROBOTKUBE_START_AFTER_SERVER_KEY"),
-    }
+    assert found == {("argocd-applicationset-controller", "ROBOTKUBE_START_AFTER_SERVER_KEY")}
+
+
+def test_its_cache_and_who_asks_it_read_the_password_from_a_file(argocd: list[Object]) -> None:
+    """The cache's own pod begins before the file is there: an init container of it makes the Secret."""
+    folder = "/etc/argocd-redis"
+    for part in ("application-controller", "redis", "repo-server", "server"):
+        spec = pod(argocd, f"argocd-{part}")
+        [container] = spec["containers"]
+        [mount] = [one for one in container["volumeMounts"] if one["mountPath"] == folder]
+        [volume] = [one for one in spec["volumes"] if one["name"] == mount["name"]]
+        expected = {"secretName": "argocd-redis", "items": [{"key": "auth", "path": "auth"}]}
+        assert volume["secret"] == {**expected, "optional": part == "redis"}, part
+        told = {one["name"]: one.get("value") for one in container["env"]}
+        assert told.get("REDIS_CREDS_DIR_PATH") == (None if part == "redis" else folder), part
+
+
+def test_its_cache_gets_the_password_as_settings(argocd: list[Object], tmp_path: Path) -> None:
+    """Not as an argument: those of all processes of a machine can be listed."""
+    [container] = pod(argocd, "argocd-redis")["containers"]
+    assert container["args"] == []
+    [shell, option, program] = container["command"]
+    (tmp_path / "auth").write_text("some-word")
+    server = tmp_path / "redis-server"
+    server.write_text('#!/bin/sh\necho "$@"\ncat\n')
+    server.chmod(0o755)
+    environment = {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    called = program.replace("/etc/argocd-redis", str(tmp_path))
+    said = subprocess.run([shell, option, called], env=environment, capture_output=True, check=True, timeout=30).stdout
+    assert said.decode().splitlines() == ["-", 'save ""', "appendonly no", "requirepass some-word"]
 
 
 def test_a_container_holds_a_token_only_if_it_asks_the_api_server(argocd: list[Object]) -> None:
