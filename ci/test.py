@@ -72,7 +72,7 @@ class Group:
 
 
 ON_PLATFORM = Group("platform", "platform and not thorough", 620, "images")
-FAST = Group("fast", FASTEST, 90, "tests", 2, FEW_EXAMPLES, beside=ON_PLATFORM.name)
+FAST = Group("fast", FASTEST, 90, "tests", 3, FEW_EXAMPLES, beside=ON_PLATFORM.name)
 GROUPS = (
     Group("check", "", 60, "nothing", beside=ON_PLATFORM.name),
     FAST,

@@ -99,8 +99,9 @@ ENVIRONMENT: dict[str, list[Object]] = {
 # client.key for them. Who installs makes it before; a program that started without it would answer, or ask, without.
 CLIENTS = "argocd-repo-server-mtls"
 CLIENTS_KEYS = {"client-ca.crt", "client.crt", "client.key"}
-# The password of Argo CD's cache: a Secret that an init container of the cache makes, read from a file by everybody. Where
-# it is made, its file comes later than the pod; the program gets it as settings, not as an argument that can be listed.
+# The password of Argo CD's cache: a Secret that an init container of the cache makes, read from a file by everybody.
+# Where it is made, its file comes later than the pod; the program gets it as settings, not as an argument, which
+# whoever lists a machine's processes reads.
 CACHE, PASSWORD, PASSWORD_FOLDER = "argocd-redis", "REDIS_PASSWORD", "/etc/argocd-redis"
 PASSWORD_FILE = {"name": "REDIS_CREDS_DIR_PATH", "value": PASSWORD_FOLDER}
 CACHE_PROGRAM = f"""\
