@@ -31,11 +31,7 @@ pygit2.settings.server_timeout = TIMEOUT_MILLISECONDS
 
 FETCHES_MAX = 3  # of one fetch whose connection the forge ended; then it is not the change to a renewed certificate
 PAUSE_SECONDS_FIRST, PAUSE_SECONDS_MAX = 0.1, 0.2  # between them
-ENDED = (
-    "reset by peer",
-    "unexpected EOF",
-    "SSL error",
-)  # libgit2's words, of TLS in many ways; no number comes with them
+ENDED = ("reset by peer", "unexpected EOF", "SSL error")  # libgit2's words; it gives no number
 
 _read: dict[Path, int] = {}
 
