@@ -36,9 +36,11 @@ def assemble(address: str) -> Path:
     for name, text in texts.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(text, encoding="utf-8")
-    for name, target in BESIDE_THE_PAGES.items():
+    beside = {FOLDER / name: target for name, target in BESIDE_THE_PAGES.items()}
+    beside |= {PROJECT / name: name for name in repository.pictures()}
+    for file, target in beside.items():
         (folder / target).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(FOLDER / name, folder / target)
+        shutil.copyfile(file, folder / target)
     return folder
 
 

@@ -20,6 +20,7 @@ LEFT_OUT = ("operator/src/",)
 """Pages that are no documentation: files for others to start from."""
 
 TOP = "README.md"
+PICTURES = "docs/images/"
 SECTIONS = {
     "Tutorials": ("docs/tutorials/use-case.md", "docs/tutorials/"),
     "How-to": ("docs/how-to/",),
@@ -51,6 +52,10 @@ class Repository:
     def pages(self) -> list[str]:
         return sorted(name for name in self.files if name.endswith(".md") and not name.startswith(LEFT_OUT))
 
+    def pictures(self) -> list[str]:
+        """What pages show; in the site they stand where they stand here."""
+        return sorted(name for name in self.files if name.startswith(PICTURES))
+
 
 def site(repository: Repository, read: Read) -> dict[str, str]:
     """Path in the site -> text of every page; the first page also has the contents."""
@@ -59,7 +64,8 @@ def site(repository: Repository, read: Read) -> dict[str, str]:
         raise SetUpError(
             f"the repository has no {TOP}, the first page of the site; add it, or run in the whole checkout"
         )
-    texts = {place(name): linked(name, read(name), frozenset(pages), repository.address) for name in pages}
+    there = frozenset([*pages, *repository.pictures()])
+    texts = {place(name): linked(name, read(name), there, repository.address) for name in pages}
     for title, names in contents(pages).items():
         texts[place(TOP)] += CONTENTS.format(title=title, entries="\n".join(map(_entry, names)))
     return texts
@@ -71,27 +77,27 @@ def place(name: str) -> str:
     return f"{folder}/index.md".lstrip("/") if file == TOP else name
 
 
-def linked(page: str, text: str, pages: frozenset[str], address: str = "") -> str:
-    """The text of a page with links that lead somewhere in the site."""
+def linked(page: str, text: str, there: frozenset[str], address: str = "") -> str:
+    """The text of a page with links that lead somewhere in the site; `there` are its pages and pictures."""
     parts = []
     end = 0
     for link in sorted(markdown.links(text), key=lambda link: link.start):
-        new = _link(page, link, pages, address) if link.kind in ("inline", "reference") else ""
+        new = _link(page, link, there, address) if link.kind in ("inline", "reference") else ""
         if new and link.start >= end:
             parts += [text[end : link.start], new]
             end = link.end
     return "".join([*parts, text[end:]])
 
 
-def _link(page: str, link: markdown.Link, pages: frozenset[str], address: str) -> str:
+def _link(page: str, link: markdown.Link, there: frozenset[str], address: str) -> str:
     """What stands for a link; empty when it stays."""
     file, hash_sign, anchor = link.target.partition("#")
     if not file or ELSEWHERE.match(link.target):
         return ""
     path, _ = resolved(page, link.target)
-    if path in pages:
+    if path in there:
         return f"[{link.label}]({_target(place(file) + hash_sign + anchor)})"
-    if f"{path}/{TOP}".removeprefix("./") in pages:
+    if f"{path}/{TOP}".removeprefix("./") in there:
         index = f"{file.rstrip('/')}/{place(TOP)}{hash_sign}{anchor}"
         return f"[{link.label}]({_target(index)})"
     if address:

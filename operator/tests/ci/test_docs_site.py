@@ -33,6 +33,14 @@ def test_links_between_pages_and_to_elsewhere_stay() -> None:
     assert linked(text) == text
 
 
+def test_pictures_stand_where_pages_show_them() -> None:
+    there = frozenset([*PAGES, *pages.Repository(FILES | {"docs/images/a.webp", "docs/b.webp"}).pictures()])
+    text = "![What it shows](images/a.webp)"
+    assert pages.linked("docs/page.md", text, there, FORGE) == text
+    assert pages.linked("README.md", "![A](docs/images/a.webp)", there) == "![A](docs/images/a.webp)"
+    assert pages.linked("docs/page.md", "![B](b.webp)", there) == "!B (`docs/b.webp`)"  # not a picture of the site
+
+
 @pytest.mark.parametrize(
     ("text", "without", "address"),
     [
@@ -84,7 +92,7 @@ def test_the_first_page_has_the_contents() -> None:
         '<link rel="stylesheet" href="//fonts.example.org/css">',
         '<link rel="preconnect" href="https://fonts.example.org">',
         '<img src="HTTPS://example.org/x.png">',
-        '<img srcset="a.png 1x, https://example.org/b.png 2x">',
+        '<img srcset="a.webp 1x, https://example.org/b.webp 2x">',
         '<iframe src="http://example.org"></iframe>',
         "<style>@import 'https://example.org/x.css';</style>",
         '<p style="background: url(//example.org/x.png)">',
@@ -165,7 +173,9 @@ def test_a_site_is_built_from_pages_and_settings(monkeypatch: pytest.MonkeyPatch
     generator(monkeypatch, tmp_path, 'echo "<p>good</p>" > $site/index.html')
     assert docs.build("") == tmp_path / "output" / "site"
     written = tmp_path / "output" / "pages"
-    for name in ("index.md", "docs/decisions/index.md", "CHANGELOG.md", "conf.py", "_static/site.css"):
+    pictures = [name for name in links.files() if name.startswith(pages.PICTURES)]
+    assert pictures
+    for name in ("index.md", "docs/decisions/index.md", "CHANGELOG.md", "conf.py", "_static/site.css", *pictures):
         assert (written / name).is_file(), name
 
 
