@@ -104,14 +104,22 @@ CLIENTS_KEYS = {"client-ca.crt", "client.crt", "client.key"}
 # whoever lists a machine's processes reads.
 CACHE, PASSWORD, PASSWORD_FOLDER = "argocd-redis", "REDIS_PASSWORD", "/etc/argocd-redis"
 PASSWORD_FILE = {"name": "REDIS_CREDS_DIR_PATH", "value": PASSWORD_FOLDER}
-CACHE_PROGRAM = f"""\
-until [ -s {PASSWORD_FOLDER}/auth ]; do sleep 0.2; done
+CACHE_PROGRAM = rf"""
+looks=0
+until [ -s {PASSWORD_FOLDER}/auth ]; do
+  if [ $((looks += 1)) -gt 300 ]; then
+    echo "no password in {PASSWORD_FOLDER}/auth after a minute: Secret {CACHE} has no key auth" >&2
+    exit 1
+  fi
+  sleep 0.2
+done
+password=$(sed 's/[\\"]/\\&/g' {PASSWORD_FOLDER}/auth)
 exec redis-server - <<settings
 save ""
 appendonly no
-requirepass $(cat {PASSWORD_FOLDER}/auth)
+requirepass "$password"
 settings
-"""
+""".lstrip()
 # Workloads whose account is needed by one init container alone: this one gets the token, what runs afterwards does not.
 TOKEN_WHILE_STARTING = {"argocd-redis": "secret-init"}
 TOKEN_FOLDER = "/var/run/secrets/kubernetes.io/serviceaccount"  # noqa: S105 - where every client looks for it

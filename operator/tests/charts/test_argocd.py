@@ -172,19 +172,38 @@ def test_its_cache_and_who_asks_it_read_the_password_from_a_file(argocd: list[Ob
         assert told.get("REDIS_CREDS_DIR_PATH") == (None if part == "redis" else folder), part
 
 
-def test_its_cache_gets_the_password_as_settings(argocd: list[Object], tmp_path: Path) -> None:
-    """Not as an argument: those of all processes of a machine can be listed."""
+def cache_starts(argocd: list[Object], folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run the cache's command on a folder, with programs there that say what they were told, and do not wait."""
     [container] = pod(argocd, "argocd-redis")["containers"]
     assert container["args"] == []
+    for name, script in (("redis-server", 'echo "$@"\ncat'), ("sleep", "exit 0")):
+        (folder / name).write_text(f"#!/bin/sh\n{script}\n")
+        (folder / name).chmod(0o755)
     [shell, option, program] = container["command"]
-    (tmp_path / "auth").write_text("some-word")
-    server = tmp_path / "redis-server"
-    server.write_text('#!/bin/sh\necho "$@"\ncat\n')
-    server.chmod(0o755)
-    environment = {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
-    called = program.replace("/etc/argocd-redis", str(tmp_path))
-    said = subprocess.run([shell, option, called], env=environment, capture_output=True, check=True, timeout=30).stdout
-    assert said.decode().splitlines() == ["-", 'save ""', "appendonly no", "requirepass some-word"]
+    command = [shell, option, program.replace("/etc/argocd-redis", str(folder))]
+    environment = {"PATH": f"{folder}:{os.environ['PATH']}"}
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=60)
+
+
+@pytest.mark.parametrize(
+    ("password", "written"), [("some-word", "some-word"), ('a "b" $c \\ #d', 'a \\"b\\" $c \\\\ #d')]
+)
+def test_its_cache_gets_the_password_as_settings(
+    argocd: list[Object], password: str, written: str, tmp_path: Path
+) -> None:
+    """Not as an argument: those of all processes of a machine can be listed."""
+    (tmp_path / "auth").write_text(password)
+    done = cache_starts(argocd, tmp_path)
+    assert done.stdout.splitlines() == ["-", 'save ""', "appendonly no", f'requirepass "{written}"']
+
+
+@pytest.mark.parametrize("content", [None, ""])
+def test_its_cache_does_not_start_without_a_password(argocd: list[Object], content: str | None, tmp_path: Path) -> None:
+    if content is not None:
+        (tmp_path / "auth").write_text(content)
+    done = cache_starts(argocd, tmp_path)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.endswith("after a minute: Secret argocd-redis has no key auth\n")
 
 
 def test_a_container_holds_a_token_only_if_it_asks_the_api_server(argocd: list[Object]) -> None:

@@ -92,7 +92,7 @@ def test_the_first_page_has_the_contents() -> None:
         '<link rel="stylesheet" href="//fonts.example.org/css">',
         '<link rel="preconnect" href="https://fonts.example.org">',
         '<img src="HTTPS://example.org/x.png">',
-        '<img srcset="a.webp 1x, https://example.org/b.webp 2x">',
+        '<img srcset="a.png 1x, https://example.org/b.png 2x">',
         '<iframe src="http://example.org"></iframe>',
         "<style>@import 'https://example.org/x.css';</style>",
         '<p style="background: url(//example.org/x.png)">',

@@ -13,8 +13,10 @@ import pytest
 
 from robotkube.errors import UnavailableError
 from robotkube.foundation.forge.adapters.git import GitClone
+from tests.stages.waiting import WAIT_SECONDS_MAX
 
 ANSWER = b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+CONNECTIONS_MAX = 10
 RESET = struct.pack("ii", 1, 0)
 
 
@@ -24,8 +26,9 @@ def server(ended: int) -> Iterator[tuple[str, list[bool]]]:
     answered: list[bool] = []
 
     def serve() -> None:
-        while True:
+        for _ in range(CONNECTIONS_MAX):
             connection, _ = listening.accept()
+            connection.settimeout(WAIT_SECONDS_MAX)
             with connection:
                 if connection.recv(4096) == b"":
                     return
@@ -36,6 +39,7 @@ def server(ended: int) -> Iterator[tuple[str, list[bool]]]:
                     connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
 
     with socket.create_server(("127.0.0.1", 0)) as listening:
+        listening.settimeout(WAIT_SECONDS_MAX)
         port = listening.getsockname()[1]
         thread = threading.Thread(target=serve)
         thread.start()
@@ -43,7 +47,8 @@ def server(ended: int) -> Iterator[tuple[str, list[bool]]]:
             yield f"http://localhost:{port}", answered
         finally:
             socket.create_connection(("127.0.0.1", port)).close()
-            thread.join()
+            thread.join(WAIT_SECONDS_MAX)
+            assert not thread.is_alive()
 
 
 @pytest.mark.parametrize("ended", [0, 1, 2])
@@ -56,7 +61,7 @@ def test_what_is_fetched_is_asked_for_again(ended: int, tmp_path: Path) -> None:
 
 
 def test_who_ends_every_connection_is_away(tmp_path: Path) -> None:
-    with server(100) as (url, answered):
+    with server(CONNECTIONS_MAX) as (url, answered):
         clone = GitClone(url, "robotkube/catalogue", "gate", "word", tmp_path / "clone")
         with pytest.raises(UnavailableError, match=r"fetch: (.*reset by peer|unexpected EOF)"):
             clone.fetch()

@@ -7,7 +7,7 @@ import ssl
 import httpx
 import pytest
 
-from robotkube.foundation.runtime.adapters import kept_connections
+from robotkube.foundation.runtime.adapters import asking_again
 from robotkube.foundation.runtime.adapters.kept_connections import KeptConnections
 
 
@@ -47,7 +47,7 @@ SENT = [httpx.RemoteProtocolError("ended"), httpx.ReadError("ended"), httpx.Writ
 @pytest.fixture(autouse=True)
 def pauses(monkeypatch: pytest.MonkeyPatch) -> list[float]:
     paused: list[float] = []
-    monkeypatch.setattr(kept_connections.time, "sleep", paused.append)
+    monkeypatch.setattr(asking_again.time, "sleep", paused.append)
     return paused
 
 

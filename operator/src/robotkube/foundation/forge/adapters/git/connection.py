@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import contextlib
 import ipaddress
-import random
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,9 +12,9 @@ from typing import Any
 import pygit2
 from pygit2.enums import FetchPrune
 
-from robotkube.backoffs import backoff
 from robotkube.errors import InputError
 from robotkube.foundation.certificates.adapters.certificate_authorities import changed_at, refusal_of, trusted
+from robotkube.foundation.runtime.adapters.asking_again import ask_again
 
 TIMEOUT_MILLISECONDS = 10_000
 SERVER_OUTPUT_CHARACTERS_MAX = 16_384
@@ -29,8 +27,6 @@ BY_ADDRESS = (
 pygit2.settings.server_connect_timeout = TIMEOUT_MILLISECONDS
 pygit2.settings.server_timeout = TIMEOUT_MILLISECONDS
 
-FETCHES_MAX = 3  # of one fetch whose connection the forge ended; then it is not the change to a renewed certificate
-PAUSE_SECONDS_FIRST, PAUSE_SECONDS_MAX = 0.1, 0.2  # between them
 ENDED = ("reset by peer", "unexpected EOF", "SSL error")  # libgit2's words; it gives no number
 
 _read: dict[Path, int] = {}
@@ -57,17 +53,15 @@ def fetch(
     account: tuple[str, str],
     prune: FetchPrune = FetchPrune.UNSPECIFIED,
 ) -> None:
-    """Fetch by a connection of its own, and by another one when the forge ends that meanwhile, as it does when it takes
-    a renewed certificate: at most FETCHES_MAX. GitError or PermissionError: the forge is away or refuses."""
-    for attempt in range(FETCHES_MAX - 1):
-        try:
-            remote.fetch(list(specifications), callbacks=GitConnection(account), prune=prune)
-            return
-        except pygit2.GitError as error:
-            if not any(words in str(error) for words in ENDED):
-                raise
-        time.sleep(backoff(attempt, PAUSE_SECONDS_FIRST, PAUSE_SECONDS_MAX, random.random))
-    remote.fetch(list(specifications), callbacks=GitConnection(account), prune=prune)
+    """Fetch by a connection of its own, and by another one when the forge ends that meanwhile. GitError or
+    PermissionError: the forge is away or refuses."""
+    ask_again(
+        lambda: remote.fetch(list(specifications), callbacks=GitConnection(account), prune=prune), _ended_meanwhile
+    )
+
+
+def _ended_meanwhile(error: Exception) -> bool:
+    return isinstance(error, pygit2.GitError) and any(words in str(error) for words in ENDED)
 
 
 class GitConnection(pygit2.RemoteCallbacks):
