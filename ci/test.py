@@ -26,7 +26,7 @@ from pathlib import Path
 
 from _pytest.mark.expression import Expression
 
-from ci import child_runs, preflight, preparing, principles, results
+from ci import child_runs, preflight, preparing, principles, results, shared_servers
 from ci.errors import SetUpError
 
 TOP = Path(__file__).resolve().parent.parent
@@ -37,10 +37,6 @@ FEW_EXAMPLES, ALL_EXAMPLES = 20, 200
 PLATFORM = f"{TESTS}/platform"  # its tests are marked by their folder
 MARK = re.compile(r"\bpytest\.mark\.(processes|toolchain|thorough)\b")
 OF_ALL = re.compile(r"^pytestmark = .*", re.MULTILINE)  # the marks of all tests of a file
-SERVERS = re.compile(
-    r"\b(api_server: |(manager_)?api: Api\b|installation: Installation\b|(administration|forge_process): )"
-)
-"""Fixtures for which a server runs until the session ends."""
 
 FASTEST = "not processes and not toolchain and not platform and not thorough"
 IN_PROCESSES = "(processes or toolchain) and not platform and not thorough"
@@ -53,8 +49,7 @@ class Group:
     `goal_seconds` is what it may take on a quiet machine of two cores; `seconds_max`, and it is ended. `needs` is what
     `preparing.prepare` makes before. Each of the `processes` runs whole files, with servers of its own. `examples` is
     how many a random test tries, unless the environment says it. `beside` names the group beside which it runs, at the
-    lowest priority, when both are run. With `servers_last`, files whose tests share a server come after all others: a
-    server that only waits takes a tenth of a core.
+    lowest priority, when both are run.
     """
 
     name: str
@@ -64,7 +59,6 @@ class Group:
     processes: int = 1
     examples: int = ALL_EXAMPLES
     beside: str = ""
-    servers_last: bool = False
 
     @property
     def seconds_max(self) -> int:
@@ -76,7 +70,7 @@ FAST = Group("fast", FASTEST, 90, "tests", 3, FEW_EXAMPLES, beside=ON_PLATFORM.n
 GROUPS = (
     Group("check", "", 60, "nothing", beside=ON_PLATFORM.name),
     FAST,
-    Group("processes", IN_PROCESSES, 320, "toolchain", 3, servers_last=True),
+    Group("processes", IN_PROCESSES, 320, "toolchain", 4),
     ON_PLATFORM,
 )
 THOROUGH = (
@@ -127,13 +121,9 @@ def chosen(group: Group, places: Sequence[str]) -> list[str]:
     all places when there is no such file."""
     files = (file for place in places for file in files_below(place))
     read = [file for file in files if file in places or can_have_tests(group, TOP / file)] or list(places)
-    return sorted(read, key=shares_servers) if group.servers_last else read
-
-
-def shares_servers(place: str) -> bool:
-    """Whether tests of a file ask for a server that runs until the session ends."""
-    file = TOP / place.partition("::")[0]
-    return file.is_file() and SERVERS.search(file.read_text("utf-8")) is not None
+    if group.processes == 1:
+        return read
+    return sorted(read, key=lambda place: bool(shared_servers.servers_of(TOP / place.partition("::")[0])))
 
 
 def files_below(place: str) -> list[str]:
@@ -164,10 +154,12 @@ def _compiled(marker: str) -> Expression:
 
 
 def spread(processes: int) -> list[str]:
-    """Options that spread a group's files over processes, in their order. When a process dies, the run ends."""
+    """Options that spread a group's files over processes, in their order and those together that share a server. When a
+    process dies, the run ends."""
     if processes == 1:
         return []
-    return [f"--numprocesses={processes}", "--dist=loadfile", "--no-loadscope-reorder", "--max-worker-restart=0"]
+    options = [f"--numprocesses={processes}", "--dist=loadfile", "--no-loadscope-reorder", "--max-worker-restart=0"]
+    return [*options, "-p", "ci.shared_servers"]
 
 
 @contextmanager

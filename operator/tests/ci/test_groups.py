@@ -158,14 +158,14 @@ def test_files_are_read_in_the_order_of_places_and_names(monkeypatch: pytest.Mon
 
 def test_files_whose_tests_share_a_server_are_read_last(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(groups, "TOP", tmp_path)
-    group = next(group for group in groups.GROUPS if group.servers_last)
+    group = next(group for group in groups.GROUPS if group.name == "processes")
     folder = tmp_path / groups.TESTS
     folder.mkdir(parents=True)
     for name, asks in (("a", "api_server: ApiServerProcess"), ("b", "tmp_path: Path"), ("c", "api: Api"), ("d", "")):
         text = f"pytestmark = pytest.mark.processes\ndef test_it({asks}) -> None: ...\n"
         (folder / f"test_{name}.py").write_text(text)
     assert [Path(file).stem[-1] for file in groups.chosen(group, [groups.TESTS])] == ["b", "d", "a", "c"]
-    assert [Path(file).stem[-1] for file in groups.chosen(replace(group, servers_last=False), [groups.TESTS])] == [
+    assert [Path(file).stem[-1] for file in groups.chosen(replace(group, processes=1), [groups.TESTS])] == [
         *("a", "b", "c", "d")
     ]
 
