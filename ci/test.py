@@ -20,7 +20,7 @@ from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from itertools import chain, combinations
 from pathlib import Path
 
@@ -34,6 +34,7 @@ TESTS = "operator/tests"
 EXAMPLES = "ROBOTKUBE_EXAMPLES"
 MEMORY, MEMORY_BYTES_MIN = Path("/dev/shm"), 4 * 2**30  # noqa: S108 - the folder in it is made by tempfile
 FEW_EXAMPLES, ALL_EXAMPLES = 20, 200
+IMAGES_SECONDS_MAX = 1800
 PLATFORM = f"{TESTS}/platform"  # its tests are marked by their folder
 MARK = re.compile(r"\bpytest\.mark\.(processes|toolchain|thorough)\b")
 OF_ALL = re.compile(r"^pytestmark = .*", re.MULTILINE)  # the marks of all tests of a file
@@ -194,26 +195,41 @@ def run(group: Group, places: Sequence[str], output: Path | None = None) -> Resu
 
 
 def run_all(groups: Sequence[Group], places: Sequence[str], finished: list[Result]) -> None:
-    """Run groups one after the other, those that have one to be `beside` beside it; what is `finished` is added."""
+    """Run groups one after the other, those that have one to be `beside` beside it; what is `finished` is added.
+    Images that later groups need are made while one runs that has the tool chain and no use for them."""
     names = [group.name for group in groups]
-    for group in (one for one in groups if one.beside not in names):
+    leading = [one for one in groups if one.beside not in names]
+    for number, group in enumerate(leading):
         companions = [one for one in groups if one.beside == group.name]
         print(f"\n== {group.name}" + "".join(f", beside it {one.name}" for one in companions), flush=True)
         for one in (*companions, group):
             preparing.prepare(one.needs)
+        tasks = {
+            one.name: partial(run, replace(one, goal_seconds=max(one.goal_seconds, group.goal_seconds)), places)
+            for one in companions
+        }
+        if group.needs == "toolchain" and "images" in (one.needs for one in leading[number:]):
+            tasks = {"images for later groups": prepare_images, **tasks}
         with tempfile.TemporaryDirectory(prefix="robotkube-") as folder, ThreadPoolExecutor(1) as lane:
-            bounded = [replace(one, goal_seconds=max(one.goal_seconds, group.goal_seconds)) for one in companions]
-            beside = [lane.submit(run, one, places, Path(folder, one.name)) for one in bounded]
+            beside = {name: lane.submit(task, Path(folder, name)) for name, task in tasks.items()}
             try:
                 finished.append(run(group, places))
             except BaseException:
-                for run_beside in beside:
-                    run_beside.cancel()
+                for task in beside.values():
+                    task.cancel()
                 child_runs.interrupt()
                 raise
-            for one, result in zip(companions, beside, strict=True):
-                finished.append(replace(result.result(), group=one))
-                print(f"\n== {one.name}\n{Path(folder, one.name).read_text(errors='replace')}", flush=True)
+            for name, task in beside.items():
+                result = task.result()
+                if result:
+                    finished.append(replace(result, group=next(one for one in companions if one.name == name)))
+                print(f"\n== {name}\n{Path(folder, name).read_text(errors='replace')}", flush=True)
+
+
+def prepare_images(output: Path) -> None:
+    """Make the images in a process of the lowest priority. Why that fails is said again when they are needed."""
+    command = [sys.executable, "-m", "ci.preparing", "images"]
+    child_runs.run(command, TOP, "images", IMAGES_SECONDS_MAX, output=output)
 
 
 def failures(finished: Iterable[Result]) -> list[str]:

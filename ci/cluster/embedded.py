@@ -213,8 +213,8 @@ class Embedded:
             node_processes.reserved(node.spec)
         record = Record(self._specification(topology))
         with steps.step(f"images for {len(placed)} nodes") as step:
-            root, cached = images.imported(wanted, self.launcher)
-            step.note = "cached" if cached else f"{len(wanted)} imported"
+            root, count = images.imported(wanted, self.launcher)
+            step.note = f"{count} of {len(wanted)} imported" if count else "cached"
         with steps.step("certificates"):
             self._credentials(placed)
         with steps.step("network"):

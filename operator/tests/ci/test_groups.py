@@ -13,8 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from ci import child_runs, results
+from ci import child_runs, preparing, results
 from ci import test as groups
+from ci.errors import SetUpError
 from tests.stages.waiting import until
 
 pytestmark = pytest.mark.processes
@@ -349,6 +350,55 @@ def test_a_group_runs_beside_another_at_the_lowest_priority(
     assert printed.count("1 passed") == 2
     lines = groups.table(finished).splitlines()
     assert lines[2].endswith("beside first")
+
+
+WAITING = """
+import pathlib, time
+def test_waits():
+    pathlib.Path("running").touch()
+    for _ in range(600):
+        if pathlib.Path("images").exists():
+            return
+        time.sleep(0.1)
+    raise AssertionError("no images")
+"""
+
+
+def test_images_are_made_while_a_group_runs_that_needs_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "operator" / "tests" / "some").mkdir(parents=True)
+    (tmp_path / "operator" / "pyproject.toml").touch()
+    (tmp_path / "operator" / "tests" / "some" / "test_some.py").write_text(WAITING)
+
+    def prepare_images(output: Path) -> None:
+        until((tmp_path / "running").exists, "the group that runs", SECONDS_MAX)
+        output.write_text("what the builds say")
+        (tmp_path / "images").touch()
+
+    needed: list[str] = []
+    monkeypatch.setattr(groups, "TOP", tmp_path)
+    monkeypatch.setattr(groups, "prepare_images", prepare_images)
+    monkeypatch.setattr(preparing, "prepare", needed.append)
+    first = groups.Group("first", "not thorough", 60, "toolchain")
+    second = groups.Group("second", "not thorough", 60, "images")
+    finished: list[groups.Result] = []
+    groups.run_all([first, second], [groups.TESTS], finished)
+    assert [(one.passed, one.failed) for one in finished] == [(1, 0), (1, 0)]
+    assert needed == ["toolchain", "images"]
+    printed = capfd.readouterr().out
+    assert printed.count("what the builds say") == 1
+    assert printed.index("== images for later groups") < printed.index("== second")
+
+
+def test_what_cannot_be_made_is_said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def nothing(needs: str) -> None:
+        raise SetUpError(f"no {needs} today")
+
+    monkeypatch.setattr(preparing, "prepare", nothing)
+    monkeypatch.setattr(sys, "argv", ["preparing", "images"])
+    assert preparing.main() == 1
+    assert capsys.readouterr().err == "preparing: no images today\n"
 
 
 def test_an_interrupt_ends_what_runs_beside(tmp_path: Path) -> None:

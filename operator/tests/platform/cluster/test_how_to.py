@@ -17,6 +17,8 @@ import pytest
 from ci.folders import PROJECT
 from tests.stages.platform.running_platform import Platform, eventually
 
+pytestmark = pytest.mark.thorough
+
 PAGE = PROJECT / "docs" / "how-to" / "add-an-application.md"
 BLOCK = re.compile(r"^```(console|yaml|python) ?(\S*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 FURTHER = "## To the end"
@@ -163,7 +165,6 @@ class Reader:
         eventually(f"pods of {service} are {dict(expected)}", reached, seconds=120)
 
 
-@pytest.mark.thorough
 def test_a_strangers_application_goes_its_whole_way(platform: Platform, folder: Path) -> None:
     reader = Reader(platform, folder)
     try:

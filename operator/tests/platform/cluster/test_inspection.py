@@ -167,6 +167,7 @@ def runtime(platform: Platform) -> Path:
     return node_processes.socket_of(holder)
 
 
+@pytest.mark.thorough
 def test_a_container_that_somebody_starts_in_a_known_pod_is_named(platform: Platform, ctr: Callable[..., str]) -> None:
     """By the machine's runtime, as part of the pod: neither API server nor kubelet were asked."""
     [pod] = platform.get("-n", AGENT, "pods", "-l", f"app.kubernetes.io/instance={RELEASE}")["items"]
