@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from robotkube.delivery.console.adapters.cluster_documents import pod_documents, release_documents
 from robotkube.delivery.console.core.chains import DONE, FAILED, GONE, WAITING, View, find_of, steps
 from robotkube.delivery.console.core.documents import event_documents, plan_documents, task_document
+from robotkube.foundation.documents.core.times import second_text
 from tests.delivery.console import documents as given
 
 WHOLE = [
@@ -56,6 +59,22 @@ def test_of_a_pod_the_chain_has_its_release_alone() -> None:
     for kind, wanted in (("pod", "cloud-0/recorder-0"), ("release", given.RECORDER)):
         found = [(step.step, step.id) for step in steps(find_of(kind, wanted, all_of_it), all_of_it)]
         assert found == [pair for pair in WHOLE if pair != ("Application", given.BRIDGE)]
+
+
+@pytest.mark.parametrize(("seconds", "before"), [(-60, True), (-2, True), (0, False), (2, False)])
+def test_a_pod_that_ran_before_the_plan_is_no_part_of_its_time(seconds: int, before: bool) -> None:
+    """The second in which the plan began may be the pod's, too: Kubernetes tells no less."""
+    second = given.BEGAN // 1_000_000_000 + seconds
+    started = second_text(second * 1_000_000_000)
+    pods = pod_documents([given.pod(startTime=started)])
+    all_of_it = replace(view(), pods=pods)
+    pod = next(step for step in steps(find_of("plan", given.PLAN, all_of_it), all_of_it) if step.step == "pod")
+    if before:
+        assert (pod.time_ms, pod.end_ms) == (None, None)
+        assert (pod.text, pod.details) == ("Running on cloud-0, ran before it", (("started", started),))
+    else:
+        assert pod.time_ms == second * 1000
+        assert pod.text == "Running on cloud-0"
 
 
 def test_times_and_links_and_values() -> None:

@@ -10,15 +10,18 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from robotkube.delivery.console.core.documents import MERGED, OBSERVED, REFUSED
+from robotkube.delivery.console.core.moments import NS_OF_MS
 from robotkube.delivery.deployment.core.releases import application_name
 from robotkube.delivery.tasks.core.task_states import READY
 from robotkube.delivery.tasks.core.task_states import REFUSED as TASK_REFUSED
+from robotkube.foundation.documents.core.times import second_text
 
 EVENT, TASK, PLAN, POD, RELEASE, COMMIT = "event", "task", "plan", "pod", "release", "commit"
 WHY_KINDS = (EVENT, TASK, PLAN, POD, RELEASE, COMMIT)
 MESSAGE, PULL_REQUEST, APPLICATION, END = "message", "pull request", "Application", "end"
 DONE, WAITING, FAILED, GONE = "done", "waiting", "failed", "gone"
 COMMIT_CHARACTERS_MIN = 7
+MS_OF_S = 1000
 WITHDRAWAL = "withdrawal"
 NO_TASK = "withdrawn, or another's of the same plan"
 
@@ -125,7 +128,8 @@ def steps(matches: Matches, view: View) -> Iterator[Step]:
     asking = [plan for plan in matches.plans if plan["cause"] != WITHDRAWAL]
     for plan in asking:
         yield from _plan(plan)
-    yield from _running(matches.releases, view)
+    since_ms = min((plan["started_ms"] for plan in asking if plan["started_ms"] is not None), default=None)
+    yield from _running(matches.releases, view, since_ms)
     for key, event in matches.events.items():
         if event["ended_ms"] is not None:
             yield Step(END, key, "the event ended", event["rule"], DONE, EVENT, event["ended_ms"])
@@ -216,14 +220,15 @@ def _commit_page(pull_request: str, commit: str) -> str:
     return f"{repository}/commit/{commit}" if found else ""
 
 
-def _running(releases: Iterable[str], view: View) -> Iterator[Step]:
+def _running(releases: Iterable[str], view: View, since_ms: int | None) -> Iterator[Step]:
+    """Applications and pods of releases; a pod that started before `since_ms` took the change while it ran."""
     pods: dict[str, list[tuple[str, Document]]] = {}
     for key, pod in view.pods.items():
         pods.setdefault(pod["release"], []).append((key, pod))
     for release in releases:
         yield _application(release, view.releases.get(release))
         for key, pod in pods.get(release, ()):
-            yield _pod(key, pod)
+            yield _pod(key, pod, since_ms)
 
 
 def _application(release: str, document: Document | None) -> Step:
@@ -237,8 +242,14 @@ def _application(release: str, document: Document | None) -> Step:
     return Step(APPLICATION, release, document["application"], text, state, RELEASE, details=details)
 
 
-def _pod(key: str, pod: Document) -> Step:
+def _pod(key: str, pod: Document, since_ms: int | None) -> Step:
     state = GONE if pod["deleting"] else FAILED if pod["trouble"] else DONE if pod["ready"] else WAITING
     text = f"{pod['phase']} on {pod['node'] or 'no node'}"
     details = (("trouble", pod["trouble"]),) if pod["trouble"] else ()
-    return Step(POD, key, key, text, state, POD, pod["started_ms"], pod["ready_ms"], "", details)
+    started = pod["started_ms"]
+    if (
+        started is not None and since_ms is not None and started < since_ms // MS_OF_S * MS_OF_S
+    ):  # Kubernetes tells whole seconds
+        since = ("started", second_text(started * NS_OF_MS))
+        return Step(POD, key, key, f"{text}, ran before it", state, POD, details=(*details, since))
+    return Step(POD, key, key, text, state, POD, started, pod["ready_ms"], "", details)
