@@ -85,11 +85,12 @@ class Encounter:
         """The same of some topics."""
         if self.window is None or any(not self.ledgers.get(topic) for topic in topics):
             return None
-        return sum(
-            self._inside(line.stamp) and line.stamp not in self.stamps(topic)
-            for topic in topics
-            for line in self.ledgers[topic]
-        )
+        begin, end = self.window
+        lost = 0
+        for topic in topics:
+            stored = self.stamps(topic)
+            lost += sum(begin <= line.stamp <= end and line.stamp not in stored for line in self.ledgers[topic])
+        return lost
 
     @cached_property
     def duplicates(self) -> int:
