@@ -1,8 +1,9 @@
 /**
  * Every view and state before the synthetic fleet: node views.mjs MODE URL [FOLDER]. Each view is looked at on a desk and
- * on a telephone, light and dark; nothing may complain, be wider than the window, or lack a name.
+ * on a telephone, light and dark; nothing may complain or be wider than the window, and axe may find no violation.
  */
 import assert from "node:assert/strict";
+import axe from "axe-core";
 import { goTo, tooWide, openPage, picture, withBrowser } from "./pages.mjs";
 
 const [mode, url, folder] = process.argv.slice(2);
@@ -31,16 +32,14 @@ const STATES = {
   away: [["fleet", "The fleet"]],
 };
 
-/** Buttons, links and fields that a screen reader has no name for. */
-const nameless = (page) =>
-  page.evaluate(() => {
-    const named = (one) =>
-      (one.getAttribute("aria-label") ?? one.textContent ?? "").trim() ||
-      [...(one.labels ?? [])].some((label) => label.textContent.trim()) ||
-      one.getAttribute("aria-labelledby");
-    const found = [...document.querySelectorAll("a, button, input, select, textarea, canvas[tabindex], [role=region]")];
-    return found.filter((one) => !named(one)).map((one) => one.outerHTML.slice(0, 120));
-  });
+/** What axe finds that somebody who cannot see, or point, is kept from: rule, how bad, and where. */
+const violations = async (page) => {
+  await page.evaluate(axe.source);
+  const { violations } = await page.evaluate(() => window.axe.run(document, { resultTypes: ["violations"] }));
+  return violations.flatMap(({ id, impact, nodes }) =>
+    nodes.map(({ target, failureSummary }) => `${id} (${impact}): ${target}: ${failureSummary}`),
+  );
+};
 
 async function look(browser, size, dark) {
   const { page, complaints } = await openPage(browser, url, { size, dark });
@@ -49,11 +48,22 @@ async function look(browser, size, dark) {
     await page.waitForTimeout(150);
     const what = `${mode} ${place} ${size}`;
     assert.deepEqual(await tooWide(page), [], `${what}: wider than the window`);
-    assert.deepEqual(await nameless(page), [], `${what}: without a name`);
+    assert.deepEqual(await violations(page), [], `${what}: violations`);
     assert.equal(await page.locator("h1").count(), 1, `${what}: not one heading`);
     await picture(page, folder, `${mode}-${place.replaceAll("/", "_")}-${size}${dark ? "-dark" : ""}`);
   }
   assert.deepEqual(complaints, []);
+  await page.context().close();
+}
+
+/** A picture without words is found: the check can fail. */
+async function findsViolations(browser) {
+  const { page } = await openPage(browser, url);
+  await goTo(page, "agents", "Agents");
+  await page.evaluate(() => document.querySelector("main").append(document.createElement("img")));
+  const [found, ...more] = await violations(page);
+  assert.match(found, /^image-alt \(critical\): img/);
+  assert.deepEqual(more, []);
   await page.context().close();
 }
 
@@ -86,6 +96,7 @@ async function ask(browser) {
 await withBrowser(async (browser) => {
   await look(browser, "desk", false);
   await look(browser, "phone", true);
+  if (mode === "live") await findsViolations(browser);
   if (mode === "live") await ask(browser);
 });
 console.log(`${mode}: as it should be`);
