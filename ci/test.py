@@ -16,7 +16,7 @@ import re
 import sys
 import tempfile
 import time
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -204,7 +204,7 @@ def run_all(groups: Sequence[Group], places: Sequence[str], finished: list[Resul
         print(f"\n== {group.name}" + "".join(f", beside it {one.name}" for one in companions), flush=True)
         for one in (*companions, group):
             preparing.prepare(one.needs)
-        tasks = {
+        tasks: dict[str, Callable[[Path], Result | None]] = {
             one.name: partial(run, replace(one, goal_seconds=max(one.goal_seconds, group.goal_seconds)), places)
             for one in companions
         }

@@ -91,7 +91,7 @@ def key_of(images: Iterable[Image], maker: str) -> str:
 
 def maker_of(binaries: Path) -> str:
     """What makes an imported root: containerd's own version and this module's scheme."""
-    command = [binaries / "containerd", "--version"]
+    command = [str(binaries / "containerd"), "--version"]
     version = subprocess.run(command, capture_output=True, text=True, timeout=10, check=True).stdout.strip()
     return f"{SCHEME} {version}"
 

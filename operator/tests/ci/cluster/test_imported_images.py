@@ -1,10 +1,9 @@
-"""The folder of imported images: made from one that is kept, it has exactly its own, and the kept one stays as it is."""
+"""Imported images: a folder that is made from a kept one has exactly its own, and the kept one stays as it is."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-import os
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -73,7 +72,8 @@ def test_one_more_is_imported_and_what_nobody_wants_is_gone(made: Mapping[str, I
     blobs = {path.name for path in (second / BLOBS).iterdir()}
     assert digests(after) <= blobs
     assert not digests([made["first"]]) & blobs
-    assert os.path.samefile(*(root / BLOBS / digests([made["pause"]]).pop() for root in (first, second)))
+    shared = digests([made["pause"]]).pop()
+    assert (first / BLOBS / shared).samefile(second / BLOBS / shared)
     assert images.imported(after, launcher) == (second, 0)
     assert images.imported(before, launcher) == (first, 0)
 
