@@ -34,7 +34,9 @@ agents:
 {{- include "robotkube.agents" . }}
 managers:
 {{- range fromYamlArray (include "robotkube.managers" .) }}
-- {name: {{ .name }}, url: "http://{{ include "robotkube.host" (dict "root" $ "name" .name) }}:8080"}
+- name: {{ .name }}
+  url: "http://{{ include "robotkube.host" (dict "root" $ "name" .name) }}:8080"
+  namespaces: {{ toJson .scope.namespaces }}
 {{- end }}
 hosts: {{ include "robotkube.consoleHosts" . }}
 {{- with $console.proxies }}

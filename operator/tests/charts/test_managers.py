@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
+from robotkube.delivery.console import settings as console
 from robotkube.delivery.deployment.core.policies.merge import AUTOMATIC, read_merge_policy
 from robotkube.delivery.gate import __main__ as gate
 from robotkube.delivery.manager import __main__ as manager
@@ -108,6 +109,18 @@ def holders(rendered: Any) -> dict[str, set[str]]:
             for name in mounted & set(found):
                 found[name].add(pod)
     return found
+
+
+def test_the_console_knows_whose_namespaces_are_whose(two: Any, official: Any, tmp_path: Path) -> None:
+    (tmp_path / "one").mkdir()
+    (tmp_path / "all").mkdir()
+    several = read_settings(mounted(two, "console", tmp_path / "one"), console.read_configuration).managers
+    assert {one.name: one.namespaces for one in several} == {
+        "manager": {"vehicle-00", "cloud-0"},
+        "manager-north": {"vehicle-01", "default"},
+    }
+    [alone] = read_settings(mounted(official, "console", tmp_path / "all"), console.read_configuration).managers
+    assert alone.answers("vehicle-77")
 
 
 def test_the_policy_merges_by_itself_what_is_in_the_authors_scope(two: Any, official: Any) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 from robotkube.delivery.console.adapters.web.asking import AskedParties
 from robotkube.delivery.console.core.signing_in import Person
+from robotkube.delivery.console.ports import ManagerPages
 from robotkube.errors import RobotKubeError
 
 MANAGER = "http://manager:8080"
@@ -35,7 +36,9 @@ class PlatformInMemory:
     @property
     def asking(self) -> AskedParties:
         """The console's side of it, with two managers."""
-        return AskedParties({"manager": MANAGER, "south": "http://south:8080"}, self, self)
+        south = ManagerPages("south", "http://south:8080", frozenset({"cloud-1", "vehicle-01"}))
+        north = ManagerPages("manager", MANAGER, frozenset({"cloud-0", "vehicle-00"}))
+        return AskedParties([north, south], self, self)
 
     def ask(self, url: str, question: Mapping[str, Any]) -> Mapping[str, Any]:
         self._fail()

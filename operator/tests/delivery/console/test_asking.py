@@ -82,8 +82,26 @@ def test_what_would_happen_is_what_the_manager_says_and_changes_nothing() -> Non
     asked = {"application": "recording", "parameters": REQUEST["parameters"], "priority": 7, "reason": "to see"}
     assert spec == {"requester": "anna", "event": None, **asked}
     assert anna.platform.written == []
-    anna.asks("/api/explain", {"withdraw": "cloud-0/meeting", "manager": "south"})
-    assert anna.platform.questions[1] == ("http://south:8080/explain", {"withdraw": "cloud-0/meeting"})
+
+
+@pytest.mark.parametrize(
+    ("question", "asked"),
+    [
+        ({**REQUEST, "namespace": "cloud-0"}, MANAGER),
+        ({**REQUEST, "namespace": "vehicle-01"}, "http://south:8080"),
+        ({"withdraw": "vehicle-00/meeting"}, MANAGER),
+        ({"withdraw": "cloud-1/meeting"}, "http://south:8080"),
+        (
+            {"withdraw": "cloud-0/meeting", "manager": "south"},
+            "http://south:8080",
+        ),  # by name: that one, whatever it has
+    ],
+)
+def test_the_manager_is_asked_whose_namespace_it_is(question: dict[str, Any], asked: str) -> None:
+    anna = Somebody()
+    assert anna.asks("/api/explain", question).status_code == 200
+    [(url, _)] = anna.platform.questions
+    assert url == f"{asked}/explain"
 
 
 def test_a_task_is_submitted_as_the_person_with_one_listed_group_and_withdrawn_again() -> None:
@@ -173,8 +191,12 @@ def test_requests_that_cannot_be_read_are_refused() -> None:
     assert refusal(anna.asks("/api/explain", {"withdraw": "x"}))[0] == 422
     assert refusal(anna.asks("/api/explain", {"withdraw": ["a/b"]}))[0] == 422
     assert refusal(anna.asks("/api/explain", {**REQUEST, "manager": "north"})) == (
-        422, "Name one of manager, south in `manager`.",
+        422, "Name one of manager, south in `manager`, or none.",
     )  # fmt: skip
+    assert refusal(anna.asks("/api/explain", {"withdraw": "edge-0/meeting"})) == (
+        422, "No manager answers tasks in edge-0; there are: manager, south.",
+    )  # fmt: skip
+    assert anna.platform.questions == []
     kind = {**anna.headers, "Content-Type": "application/json"}
     assert refusal(anna.client.post("/api/tasks", content="{", headers=kind))[0] == 400
     large = anna.client.post("/api/tasks", content=b" " * (BODY_BYTES_MAX + 1), headers=kind)

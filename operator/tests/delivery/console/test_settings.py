@@ -72,6 +72,10 @@ def test_signing_in(tmp_path: Path) -> None:
         ({"sign_in": {**SIGN_IN, "writers": [{"group": "a"}]}}, r"sign_in\.writers\[0\]\.namespaces: missing"),
         ({"poses": {"topic": "mqtt/pose"}}, r"poses\.topic: must have \{agent\} as one of its levels"),
         ({"managers": [{"name": "m"}]}, r"managers\[0\]\.url: missing"),
+        (
+            {"managers": [{"name": "m", "url": "http://m:8080", "namespaces": ["A b"]}]},
+            r"managers\[0\]\.namespaces\[0\]: 'A b' must match",
+        ),
         ({"agents": [{"name": "A b"}]}, r"agents\[0\]\.name: 'A b' must match"),
         ({"hosts": ["a/b"]}, r"hosts\[0\]: 'a/b' must match"),
         ({"proxies": ["ingress"]}, r"proxies\[0\]: 'ingress' must match"),

@@ -63,8 +63,7 @@ class ConsoleProcess:
         encrypted = sign_in is not None and sign_in.encrypted
         around = ConsoleSurroundings(configuration.hosts, encrypted, configuration.links, page)
         people = People(sign_in, writers=configuration.writers)
-        managers = {manager.name: manager.url for manager in configuration.managers}
-        asking = AskedParties(managers, self._pages, ImpersonatedTasks(api))
+        asking = AskedParties(configuration.managers, self._pages, ImpersonatedTasks(api))
         self.console = Console(self.model, people, asking, around)
         self.server = AsgiServer(
             self.console.app, configuration.listen.address, configuration.listen.port, configuration.proxies

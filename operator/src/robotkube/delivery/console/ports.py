@@ -10,6 +10,8 @@ from robotkube.delivery.console.core.chains import View
 from robotkube.delivery.console.core.signing_in import Person
 from robotkube.delivery.console.core.table import Document, TableChange
 
+ALL = "*"
+
 
 @dataclass(frozen=True)
 class Detector:
@@ -34,10 +36,16 @@ class BridgePod:
 
 @dataclass(frozen=True)
 class ManagerPages:
-    """The pages of a manager: its name and the address in front of them."""
+    """The pages of a manager: its name, the address in front of them, and the namespaces whose tasks it answers, `*`
+    among them for all."""
 
     name: str
     url: str
+    namespaces: frozenset[str] = frozenset({ALL})
+
+    def answers(self, namespace: str) -> bool:
+        """Whether tasks in a namespace are this manager's."""
+        return ALL in self.namespaces or namespace in self.namespaces
 
 
 class Pages(Protocol):

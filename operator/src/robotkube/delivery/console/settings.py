@@ -11,9 +11,17 @@ from typing import Any
 from robotkube.delivery.console.core.asking import Writers
 from robotkube.delivery.console.core.poses import MARK
 from robotkube.delivery.console.core.signing_in import SignIn
-from robotkube.delivery.console.ports import ManagerPages
+from robotkube.delivery.console.ports import ALL, ManagerPages
 from robotkube.foundation.certificates.settings import read_authorities
-from robotkube.foundation.documents.core.patterns import ADDRESSES, AGENTS_MQTT_TOPIC, HOST, HTTP_URL, NAME, WORD
+from robotkube.foundation.documents.core.patterns import (
+    ADDRESSES,
+    AGENTS_MQTT_TOPIC,
+    HOST,
+    HTTP_URL,
+    NAME,
+    NAME_OR_ALL,
+    WORD,
+)
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.runtime import settings_file as files
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
@@ -98,9 +106,11 @@ def _managers(reader: Reader, value: Any) -> Sequence[ManagerPages]:
     managers = []
     for index, item in enumerate(reader.sequence(value, "managers")):
         path = f"managers[{index}]"
-        manager = reader.mapping(item, path, ["name", "url"])
+        manager = reader.mapping(item, path, ["name", "url"], ["namespaces"])
         name = reader.word(manager.get("name"), f"{path}.name", NAME)
-        managers.append(ManagerPages(name, reader.word(manager.get("url"), f"{path}.url", HTTP_URL)))
+        url = reader.word(manager.get("url"), f"{path}.url", HTTP_URL)
+        namespaces = _words(reader, manager.get("namespaces") or [ALL], f"{path}.namespaces", NAME_OR_ALL)
+        managers.append(ManagerPages(name, url, frozenset(namespaces)))
     return managers
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import secrets
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -18,7 +18,7 @@ from robotkube.delivery.console.adapters.web.people import People
 from robotkube.delivery.console.adapters.web.problems import ProblemError
 from robotkube.delivery.console.core.asking import ApplicationRequest, read_request
 from robotkube.delivery.console.core.rate_limits import RateLimits, RequestRate
-from robotkube.delivery.console.ports import PeoplesTasks, WhatIf
+from robotkube.delivery.console.ports import ManagerPages, PeoplesTasks, WhatIf
 from robotkube.errors import InputError, RefusalError, RobotKubeError
 from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.patterns import TASK
@@ -38,10 +38,10 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class AskedParties:
-    """Whom to ask: the managers' addresses by name, the first of which answers unless another is named; what they
+    """Whom to ask: the managers, of which the one answers whose namespace it is unless another is named; what they
     answer; and who writes."""
 
-    managers: Mapping[str, str]
+    managers: Sequence[ManagerPages]
     what_if: WhatIf
     tasks: PeoplesTasks
 
@@ -68,8 +68,8 @@ class TaskRequests:
         self._slow_down(self._questions, asker)
         document = await _body(request)
         withdrawn = isinstance(document, dict) and document.keys() >= {"withdraw"}
-        question, manager = _withdrawal(document) if withdrawn else _task(_request_in(document), asker)
-        url = self._manager(manager)
+        question, namespace, name = _withdrawal(document) if withdrawn else _task(_request_in(document), asker)
+        url = self._manager(namespace, name).url
         answer = await _answered(lambda: self._asking.what_if.ask(f"{url}/explain", question))
         return JSONResponse(dict(answer), headers=FRESH)
 
@@ -105,25 +105,31 @@ class TaskRequests:
         if wait:
             raise ProblemError(429, "Too many requests", "Wait a moment, then ask again.", wait)
 
-    def _manager(self, name: str) -> str:
+    def _manager(self, namespace: str, name: str) -> ManagerPages:
+        """The manager of a name, or of a namespace where none is given."""
         managers = self._asking.managers
-        url = managers.get(name) if name else next(iter(managers.values()), None)
-        if url is None:
-            raise ProblemError(422, "No such manager", f"Name one of {', '.join(managers) or 'none'} in `manager`.")
-        return url
+        fits = [one for one in managers if (one.name == name if name else one.answers(namespace))]
+        if fits:
+            return fits[0]
+        names = ", ".join(one.name for one in managers) or "none"
+        if name:
+            raise ProblemError(422, "No such manager", f"Name one of {names} in `manager`, or none.")
+        raise ProblemError(422, "Nobody answers there", f"No manager answers tasks in {namespace}; there are: {names}.")
 
 
-def _withdrawal(document: Mapping[str, Any]) -> tuple[Mapping[str, Any], str]:
+def _withdrawal(document: Mapping[str, Any]) -> tuple[Mapping[str, Any], str, str]:
+    """The question, the task's namespace, and the manager that is named."""
     key = document["withdraw"]
     if not isinstance(key, str) or not TASK.fullmatch(key) or document.keys() - {"withdraw", "manager"}:
         raise ProblemError(
             422, "No question", "Give <namespace>/<name> in `withdraw`, and nothing but `manager` besides."
         )
-    return {"withdraw": key}, str(document.get("manager", ""))
+    return {"withdraw": key}, key.partition("/")[0], str(document.get("manager", ""))
 
 
-def _task(asked: ApplicationRequest, asker: str) -> tuple[Mapping[str, Any], str]:
-    return asked.document(asked.name(PREVIEWED), asker, time_text(time.time_ns())), asked.manager
+def _task(asked: ApplicationRequest, asker: str) -> tuple[Mapping[str, Any], str, str]:
+    document = asked.document(asked.name(PREVIEWED), asker, time_text(time.time_ns()))
+    return document, asked.namespace, asked.manager
 
 
 def _request_in(document: Any) -> ApplicationRequest:
