@@ -2,6 +2,8 @@
 
 import json
 import os
+import signal
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -71,7 +73,10 @@ def test_no_value_of_a_chart_of_ours_names_an_image(renderer: ChartRenderer, nam
 
 
 HOSTILE: dict[str, tuple[dict[str, bytes], str]] = {
-    "a template without an end": (chart("{{ range until 100000000 }}{{ . }}{{ end }}"), "was not rendered within"),
+    "a template without an end": (
+        chart("{{ range until 100000000 }}{{ . }}{{ end }}"),
+        "was not rendered within 2 s of a processor",
+    ),
     "a template that fails": (chart('{{ fail "no" }}'), "the chart cannot be rendered: execution error"),
     "a key that stands twice": (
         chart(f"kind: Pod\nspec:\n  containers:\n  - image: {IMAGE}\n    image: {FOREIGN}\n"),
@@ -155,6 +160,32 @@ def test_without_its_program_nothing_is_blamed_on_a_chart(tmp_path: Path) -> Non
     missing = ChartRenderer(str(tmp_path / "chart-renderer"))
     with pytest.raises(UnavailableError, match=r"charts cannot be rendered: .*cannot be started"):
         missing.render(chart("kind: A"), {}, "one", "n")
+
+
+def test_of_the_clock_a_chart_may_take_more_than_of_a_processor(tmp_path: Path) -> None:
+    """On a machine that does other things a process waits: nothing is blamed on the chart."""
+    running = ChartRenderer(program("chart-renderer"), seconds=0.5)
+    try:
+        running.render(chart("kind: A"), {}, "one", "n")
+        process: Any = running._process
+        os.kill(process.pid, signal.SIGSTOP)
+        going_on = threading.Timer(1.5, os.kill, (process.pid, signal.SIGCONT))
+        going_on.start()
+        assert running.render(chart("kind: B"), {}, "one", "n") == [{"kind": "B"}]
+        going_on.join()
+        assert running._process is process
+    finally:
+        running.close()
+
+
+def test_without_an_answer_nothing_is_blamed_on_a_chart(tmp_path: Path) -> None:
+    silent = tmp_path / "chart-renderer"
+    silent.write_text("#!/bin/sh\nexec /bin/sleep 600\n")
+    silent.chmod(0o755)
+    running = ChartRenderer(str(silent), clock_seconds=0.5)
+    with pytest.raises(UnavailableError, match=r"a chart could not be rendered within 0\.5 s; try again later"):
+        running.render(chart("kind: A"), {}, "one", "n")
+    assert running._process is None
 
 
 def test_a_process_that_was_killed_is_replaced(renderer: ChartRenderer) -> None:

@@ -89,7 +89,7 @@ def test_paths_that_lead_elsewhere_are_refused(helm: HelmProgram, path: str) -> 
 @pytest.mark.parametrize(
     ("template", "words"),
     [
-        ("{{ range until 200000000 }}{{ . }}{{ end }}", "helm template|not rendered within|renders to more"),
+        ("{{ range until 200000000 }}{{ . }}{{ end }}", "out of memory|memory or time was not enough|renders to more"),
         ('{{ define "a" }}{{ include "a" . }}{{ end }}{{ include "a" . }}', "helm template"),
         ('{{ repeat 3000000 "x" | printf "a: %s" }}', "renders to more than"),
         ("a: &b [1]\nc: *b\n", "anchors and aliases"),
@@ -111,6 +111,14 @@ def test_a_missing_program_is_not_the_charts_fault(tmp_path: Path) -> None:
     files = chart("")
     with pytest.raises(UnavailableError, match="nowhere"):
         HelmProgram("/nowhere/helm", tmp_path).render(files, {}, "one", "suite")
+
+
+def test_a_program_that_does_not_end_is_not_the_charts_fault(tmp_path: Path) -> None:
+    silent = tmp_path / "helm"
+    silent.write_text("#!/bin/sh\nexec /bin/sleep 600\n")
+    silent.chmod(0o755)
+    with pytest.raises(UnavailableError, match=r"could not be rendered within 0\.5 s; try again later"):
+        HelmProgram(str(silent), tmp_path, clock_seconds=0.5).render(chart(""), {}, "one", "suite")
 
 
 def confined(*command: str) -> subprocess.CompletedProcess[str]:

@@ -94,7 +94,7 @@ class Preflight:
             raise UnavailableError(LACKING)
         seconds = min(RENDERING_SECONDS_MAX, facts.left())
         with tempfile.TemporaryDirectory(prefix="robotkube-preflight-") as work:
-            program = HelmProgram(self.helm, Path(work), seconds)
+            program = HelmProgram(self.helm, Path(work), clock_seconds=seconds)
             try:
                 return HelmAnswer(program.render(self.chart.files, given, self.release, self.namespace))
             except InputError as error:

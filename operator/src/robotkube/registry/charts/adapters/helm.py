@@ -25,7 +25,8 @@ from robotkube.foundation.documents.core.yaml_codec import read_mappings
 PROGRAM = "/usr/local/bin/helm"  # where the platform's image has it
 PROGRAM_VARIABLE = "ROBOTKUBE_HELM"  # of the environment: another place
 LACKING = f"there is no program helm; install it, or name it in {PROGRAM_VARIABLE}"
-SECONDS_MAX = 20.0
+SECONDS_MAX = 20.0  # of a processor
+CLOCK_SECONDS_MAX = 120.0  # on a machine that has other work
 MEMORY_BYTES_MAX = 512 * 1024 * 1024
 OUTPUT_BYTES_MAX = 2 * 1024 * 1024
 FILES_MAX = 1_000
@@ -48,13 +49,17 @@ def find_helm() -> str:
 
 
 class HelmProgram:
-    """The port ChartProgram on the program at `path`; `work` is a folder for what one rendering needs, which takes at
-    most `seconds`."""
+    """The port ChartProgram on the program at `path`; `work` is a folder for what one rendering needs. One that takes
+    more than `seconds` of a processor is refused; UnavailableError when it has not ended in `clock_seconds`, which the
+    chart may not be to blame for."""
 
-    def __init__(self, path: str, work: Path, seconds: float = SECONDS_MAX) -> None:
+    def __init__(
+        self, path: str, work: Path, seconds: float = SECONDS_MAX, clock_seconds: float = CLOCK_SECONDS_MAX
+    ) -> None:
         self._path = path
         self._work = work
         self._seconds = seconds
+        self._clock_seconds = clock_seconds
 
     def render(
         self, files: Mapping[str, bytes], values: Mapping[str, Any], release: str, namespace: str
@@ -77,11 +82,11 @@ class HelmProgram:
             try:
                 done = subprocess.run(
                     [*command, "--include-crds"], stdin=subprocess.DEVNULL, stdout=objects, stderr=errors,
-                    env={"HOME": str(place / "home"), "PATH": ""}, cwd=place, timeout=self._seconds, check=False,
+                    env={"HOME": str(place / "home"), "PATH": ""}, cwd=place, timeout=self._clock_seconds, check=False,
                 )  # fmt: skip
             except subprocess.TimeoutExpired as error:
-                raise InputError(
-                    f"the chart was not rendered within {self._seconds:g} s; make its templates simpler"
+                raise UnavailableError(
+                    f"a chart could not be rendered within {self._clock_seconds:g} s; try again later"
                 ) from error
         if done.returncode == NOT_STARTED:
             raise UnavailableError(_words(place, done.returncode))
@@ -94,7 +99,10 @@ class HelmProgram:
 
 def _words(place: Path, code: int) -> str:
     text = (place / "errors").read_bytes()[:OUTPUT_BYTES_MAX].decode("utf-8", "replace")
-    text = text.replace(f"{place}/", "").strip() or f"ended with {code} (memory or time was not enough)"
+    text = (
+        text.replace(f"{place}/", "").strip()
+        or f"ended with {code} (memory or time was not enough); make its templates simpler"
+    )
     return text if len(text) <= MESSAGE_CHARACTERS_MAX else text[:MESSAGE_CHARACTERS_MAX] + " ..."
 
 
