@@ -133,8 +133,10 @@ def sources(folder: Path) -> list[Path]:
     """The project's registry with 500 more chart versions, each as long as that of the bridge and replacing the one
     before; the files of charts."""
     shutil.copytree(PROJECT / "registry", folder)
-    model = yaml.safe_load((folder / "charts" / "mqtt-bridge" / "0.2.0.yaml").read_text(encoding="utf-8"))
-    del model["spec"]["replaces"]
+    newest = max((folder / "charts" / "mqtt-bridge").iterdir(), key=lambda path: [*map(int, path.stem.split("."))])
+    model = yaml.safe_load(newest.read_text(encoding="utf-8"))
+    for key in ("replaces", "skips"):
+        model["spec"].pop(key, None)
     for number in range(CHARTS):
         chart = folder / "charts" / f"chart-{number}"
         chart.mkdir()
