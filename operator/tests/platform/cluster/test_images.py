@@ -34,7 +34,10 @@ def test_the_registry_serves_the_same_digests(platform: Platform) -> None:
 
 def test_pods_run_what_the_charts_name_by_digest(platform: Platform) -> None:
     references = {image.reference for image in preparing.everything().images}
+    digests = {reference.partition("@")[2] for reference in references}
     for namespace in ("robotkube", "robotkube-gate", "argocd"):
         for pod in platform.get("-n", namespace, "pods")["items"]:
             used = {container["image"] for container in pod["spec"]["containers"]}
             assert used <= references, pod["metadata"]["name"]
+            at_work = {status["imageID"].rpartition("@")[2] for status in pod["status"].get("containerStatuses", ())}
+            assert at_work <= digests, pod["metadata"]["name"]

@@ -93,7 +93,8 @@ class EvidenceReader:
         artefacts = [Artefact(version.chart, version.version, version.digest, name) for name in self._platforms]
         names = (*(rule.name for rule in policy.suites), SUMMARY) if policy else ()
         schema = files.get(f"charts/{version.chart}/{version.version}.schema.json")
-        texts = tuple(files.get(f"{artefacts[0].folder}/{name}.json") for name in names)
+        folder = artefacts[0].folder
+        texts = tuple(files.get(f"{folder}/{name}.json") for name in names)
         known = (version, policy.digest if policy else "", (*texts, schema))
         before = self._assessments.get((version.chart, version.version))
         if before and before[0] == known:
