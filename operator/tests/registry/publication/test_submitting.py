@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from robotkube.errors import DocumentError, InputError, UnavailableError
+from robotkube.errors import DocumentError, InputError, RefusalError, UnavailableError
 from robotkube.registry.evidence.core.statements import Check
 from robotkube.registry.publication.core.report_results import ReportedResult
 from robotkube.registry.publication.loops.submitting import (
@@ -197,6 +197,43 @@ def test_a_forge_that_is_away_is_asked_again_after_growing_pauses_with_jitter(pu
             publisher.submit(SubmittedSources((source(),)))
         assert publisher.slept[:6] == [0.5 * share, share, 2 * share, 4 * share, 5 * share, 5 * share]
         assert UNAVAILABLE_SECONDS_MAX <= sum(publisher.slept) < UNAVAILABLE_SECONDS_MAX + RETRY_SECONDS_MAX
+
+
+@pytest.mark.parametrize("taken", ["before the answer is lost", "never", "while it is pushed again"])
+def test_a_push_without_an_answer_is_made_once(
+    publisher: Publisher, taken: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The forge may have taken it before the connection was given up, may not have, or takes it only then."""
+    forge = publisher.world.forge
+    propose, pushes = forge.propose, []
+
+    def slow(commit: str, topic: str, title: str, body: str) -> int | None:
+        pushes.append(topic)
+        if len(pushes) == 1:
+            if taken == "before the answer is lost":
+                propose(commit, topic, title, body)
+            raise UnavailableError("push: could not read from socket: timed out")
+        number = propose(commit, topic, title, body)
+        if taken == "while it is pushed again":
+            raise RefusalError("ProposalRefused", "new commit is same with old commit")
+        return number
+
+    round_of_the_gate = publisher.world.gate.round
+    monkeypatch.setattr(forge, "propose", slow)
+    monkeypatch.setattr(publisher.world.gate, "round", lambda: len(publisher.slept) > 1 and round_of_the_gate())
+    assert publisher.submit(SubmittedSources((source(),))).verdict == PUBLISHED
+    assert len(pushes) == (1 if taken == "before the answer is lost" else 2)
+    assert len({*pushes}) == 1
+
+
+def test_a_push_that_is_refused_is_not_made_again(publisher: Publisher, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: str) -> int | None:
+        raise RefusalError("ProposalRefused", "no")
+
+    monkeypatch.setattr(publisher.world.forge, "propose", refused)
+    with pytest.raises(RefusalError, match="no"):
+        publisher.submit(SubmittedSources((source(),)))
+    assert publisher.slept == []
 
 
 def test_a_chart_given_twice_is_refused(publisher: Publisher) -> None:

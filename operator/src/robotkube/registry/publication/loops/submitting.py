@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
 from robotkube.backoffs import Random, backoff
-from robotkube.errors import AccountRefusedError, InputError, UnavailableError
+from robotkube.errors import AccountRefusedError, InputError, RefusalError, UnavailableError
 from robotkube.foundation.documents.core.digests import canonical_json, sha256
 from robotkube.foundation.forge.ports.pull_requests import Forge, PullRequest
 from robotkube.foundation.forge.ports.repositories import Proposals, RepositoryFiles
@@ -139,21 +139,38 @@ class Submitting:
         self._report_line(f"{packed.name} {packed.version}: pushed to {place} as {packed.digest}")
 
     def _open(self, tip: str, changes: Mapping[str, str], about: SubmissionOutcome) -> PullRequest:
-        """The pull request of exactly these changes: the open one, or a new one."""
+        """The pull request of exactly these changes: the open one, or a new one. A forge that did not answer a push in
+        time may have taken it: each time it is looked for first."""
         identifier = sha256(canonical_json(dict(changes))).removeprefix("sha256:")[:TOPIC_DIGITS]
         topic = TOPIC + identifier
         title = f"submit: {_names(about)} ({identifier})"  # forges do not show the topic of an open pull request
-        pull = self._find(title)
-        if pull is None:
-            commit = self._proposals.commit(tip, changes, f"{title}\n")
-            number = self._proposals.propose(commit, topic, title, "The gate answers below.\n")
-            pull = self._patiently(lambda: self._forge.pull_request(number)) if number else self._find(title)
+        commit = ""
+
+        def found_or_proposed() -> PullRequest | None:
+            nonlocal commit
+            pull = self._find(title)
+            if pull is None:
+                commit = commit or self._proposals.commit(tip, changes, f"{title}\n")
+                pull = self._propose(commit, topic, title)
+            return pull
+
+        pull = self._patiently(found_or_proposed)
         if pull is None:
             raise UnavailableError(
                 f"the forge accepted submission {topic}, but shows no pull request for it; try again"
             )
         self._report_line(f"pull request {pull.url}")
         return pull
+
+    def _propose(self, commit: str, topic: str, title: str) -> PullRequest | None:
+        try:
+            number = self._proposals.propose(commit, topic, title, "The gate answers below.\n")
+        except RefusalError:  # also of what an earlier push has opened meanwhile
+            pull = self._find(title)
+            if pull is None:
+                raise
+            return pull
+        return self._patiently(lambda: self._forge.pull_request(number)) if number else self._find(title)
 
     def _find(self, title: str) -> PullRequest | None:
         pulls = self._patiently(lambda: self._forge.pull_requests("open", self._account))
