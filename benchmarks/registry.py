@@ -22,6 +22,7 @@ from benchmarks.measuring import Comparison, seconds
 from ci.folders import PROJECT
 from robotkube.foundation.documents.core.digests import sha256
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
+from robotkube.registry.catalogue.core.versions import version_key
 from robotkube.registry.catalogue.loops.verified_catalogue import EvidenceReader
 from robotkube.registry.charts.core.packing import published_digest
 from robotkube.registry.evidence.adapters.dsse import KeyFile, TrustedKeys
@@ -133,7 +134,7 @@ def sources(folder: Path) -> list[Path]:
     """The project's registry with 500 more chart versions, each as long as that of the bridge and replacing the one
     before; the files of charts."""
     shutil.copytree(PROJECT / "registry", folder)
-    newest = max((folder / "charts" / "mqtt-bridge").iterdir(), key=lambda path: [*map(int, path.stem.split("."))])
+    newest = max((folder / "charts" / "mqtt-bridge").iterdir(), key=lambda path: version_key(path.stem))
     model = yaml.safe_load(newest.read_text(encoding="utf-8"))
     for key in ("replaces", "skips"):
         model["spec"].pop(key, None)

@@ -1,26 +1,18 @@
-"""What other commands stand on: Debian packages, tool chain, images. Each step is cached, and done once per process.
-
-`python -m ci.preparing images`: what `make test` has prepared while other tests run.
-"""
+"""What other commands stand on: Debian packages, tool chain, images. Each step is cached, and done once per process."""
 
 from __future__ import annotations
 
-import argparse
 import functools
 import os
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 from ci import packages, preflight, toolchain
 from ci.cluster.images import Image, lock_file, read_lock
-from ci.errors import SetUpError
 from ci.images.building import NAMES, build_images
 from ci.steps import Steps
-from robotkube.errors import RobotKubeError
 
 TOOLCHAIN_VARIABLE = "ROBOTKUBE_TOOLCHAIN_BIN"
-NEEDS = ("nothing", "tests", "toolchain", "images")  # each has all before it
 
 
 @dataclass(frozen=True)
@@ -59,7 +51,7 @@ def for_tests() -> None:
 
 
 def prepare(needs: str) -> None:
-    """Make what a group of tests `needs`, one of NEEDS.
+    """Make what a group of tests `needs`: `nothing`, `tests`, `toolchain` (and tests), `images` (and all the others).
 
     The folder of the tool chain's programs is in the environment variable ROBOTKUBE_TOOLCHAIN_BIN from then on.
     """
@@ -69,18 +61,3 @@ def prepare(needs: str) -> None:
         os.environ[TOOLCHAIN_VARIABLE] = str(tool_chain())
     if needs == "images":
         everything()
-
-
-def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m ci.preparing", description=__doc__)
-    parser.add_argument("needs", choices=NEEDS)
-    try:
-        prepare(parser.parse_args().needs)
-    except (SetUpError, RobotKubeError) as error:
-        print(f"preparing: {error}", file=sys.stderr)
-        return 1
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

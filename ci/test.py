@@ -200,13 +200,13 @@ def run_all(groups: Sequence[Group], places: Sequence[str], finished: list[Resul
     names = [group.name for group in groups]
     leading = [one for one in groups if one.beside not in names]
     for number, group in enumerate(leading):
-        companions = [one for one in groups if one.beside == group.name]
-        print(f"\n== {group.name}" + "".join(f", beside it {one.name}" for one in companions), flush=True)
-        for one in (*companions, group):
+        companions = {one.name: one for one in groups if one.beside == group.name}
+        print(f"\n== {group.name}" + "".join(f", beside it {name}" for name in companions), flush=True)
+        for one in (*companions.values(), group):
             preparing.prepare(one.needs)
         tasks: dict[str, Callable[[Path], Result | None]] = {
-            one.name: partial(run, replace(one, goal_seconds=max(one.goal_seconds, group.goal_seconds)), places)
-            for one in companions
+            name: partial(run, replace(one, goal_seconds=max(one.goal_seconds, group.goal_seconds)), places)
+            for name, one in companions.items()
         }
         if group.needs == "toolchain" and "images" in (one.needs for one in leading[number:]):
             tasks = {"images for later groups": prepare_images, **tasks}
@@ -222,14 +222,13 @@ def run_all(groups: Sequence[Group], places: Sequence[str], finished: list[Resul
             for name, task in beside.items():
                 result = task.result()
                 if result:
-                    finished.append(replace(result, group=next(one for one in companions if one.name == name)))
+                    finished.append(replace(result, group=companions[name]))
                 print(f"\n== {name}\n{Path(folder, name).read_text(errors='replace')}", flush=True)
 
 
 def prepare_images(output: Path) -> None:
     """Make the images in a process of the lowest priority. Why that fails is said again when they are needed."""
-    command = [sys.executable, "-m", "ci.preparing", "images"]
-    child_runs.run(command, TOP, "images", IMAGES_SECONDS_MAX, output=output)
+    child_runs.run([sys.executable, "-m", "ci.images"], TOP, "images", IMAGES_SECONDS_MAX, output=output)
 
 
 def failures(finished: Iterable[Result]) -> list[str]:

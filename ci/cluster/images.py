@@ -28,6 +28,7 @@ from ci.folders import user_cache
 
 SANDBOX = "pause"
 SCHEME = "2"  # changes when this module lays the folder out differently
+PARTIAL = ".partial"  # of a root that is being made
 RECORD = "imported.json"  # in an imported root: its references, and by what it was made
 IMPORT_TIMEOUT_SECONDS = 300
 START_TIMEOUT_SECONDS = 30
@@ -109,7 +110,7 @@ def imported(images: Sequence[Image], launcher: Launcher) -> tuple[Path, int]:
     if root.is_dir():
         os.utime(root)
         return root, 0
-    partial = root.with_suffix(".partial")
+    partial = root.with_suffix(PARTIAL)
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
     former = _closest(base, images, maker)
@@ -128,6 +129,8 @@ def _closest(base: Path, images: Iterable[Image], maker: str) -> Path | None:
     wanted = {image.reference for image in images}
     shared = {}
     for path in base.glob(f"*/{RECORD}"):
+        if path.parent.suffix == PARTIAL:  # of a start that was killed
+            continue
         record = json.loads(path.read_text(encoding="utf-8"))
         if record["maker"] == maker:
             shared[path.parent] = len(wanted.intersection(record["references"]))
@@ -137,7 +140,10 @@ def _closest(base: Path, images: Iterable[Image], maker: str) -> Path | None:
 
 def _copy(root: Path, target: Path) -> None:
     """Make `target` the same root: links to contents and layers, which are never written again, copies of the rest."""
-    subprocess.run(["cp", "--archive", "--link", f"{root}/.", str(target)], check=True, timeout=IMPORT_TIMEOUT_SECONDS)
+    command = ["cp", "--archive", "--link", f"{root}/.", str(target)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=IMPORT_TIMEOUT_SECONDS, check=False)
+    if done.returncode:
+        raise SetUpError(f"{root}: cannot be copied to {target}: {done.stderr.strip()[-400:]}")
     (target / RECORD).unlink()
     for folder, folders, files in os.walk(target):
         folders[:] = [name for name in folders if name not in (SNAPSHOTS.name, "blobs")]

@@ -15,7 +15,6 @@ import pytest
 
 from ci import child_runs, preparing, results
 from ci import test as groups
-from ci.errors import SetUpError
 from tests.stages.waiting import until
 
 pytestmark = pytest.mark.processes
@@ -389,16 +388,6 @@ def test_images_are_made_while_a_group_runs_that_needs_none(
     printed = capfd.readouterr().out
     assert printed.count("what the builds say") == 1
     assert printed.index("== images for later groups") < printed.index("== second")
-
-
-def test_what_cannot_be_made_is_said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    def nothing(needs: str) -> None:
-        raise SetUpError(f"no {needs} today")
-
-    monkeypatch.setattr(preparing, "prepare", nothing)
-    monkeypatch.setattr(sys, "argv", ["preparing", "images"])
-    assert preparing.main() == 1
-    assert capsys.readouterr().err == "preparing: no images today\n"
 
 
 def test_an_interrupt_ends_what_runs_beside(tmp_path: Path) -> None:

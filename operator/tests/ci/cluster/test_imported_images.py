@@ -86,6 +86,13 @@ def test_a_root_with_the_most_of_them_is_taken(made: Mapping[str, Image], launch
     assert sorted(path.name for path in third.parent.iterdir()) == sorted([third.name, roots["second"].name])
 
 
+def test_what_a_killed_start_left_is_no_beginning(made: Mapping[str, Image], launcher: Launcher) -> None:
+    """Its copy may lack contents that its record names."""
+    first, _ = images.imported([made["pause"], made["first"]], launcher)
+    first.rename(first.with_suffix(images.PARTIAL))
+    assert images.imported([made["pause"], made["second"]], launcher)[1] == 2
+
+
 def test_another_maker_has_its_own(made: Mapping[str, Image], launcher: Launcher) -> None:
     first, _ = images.imported([made["pause"]], launcher)
     record = json.loads((first / images.RECORD).read_text())

@@ -162,6 +162,22 @@ def test_without_its_program_nothing_is_blamed_on_a_chart(tmp_path: Path) -> Non
         missing.render(chart("kind: A"), {}, "one", "n")
 
 
+ENDLESS = "{{ range until 100000 }}{{ range until 100000 }}{{ end }}{{ end }}"
+"""Of little memory, and of hours."""
+
+
+def test_a_chart_is_refused_for_what_it_takes_of_a_processor() -> None:
+    running = ChartRenderer(program("chart-renderer"), seconds=1)
+    try:
+        running.render(chart("kind: A"), {}, "one", "n")
+        process: Any = running._process
+        with pytest.raises(InputError, match="was not rendered within 1 s of a processor"):
+            running.render(chart(ENDLESS), {}, "one", "n")
+        assert process.returncode == -signal.SIGKILL, "it did not end by itself, as for want of memory"
+    finally:
+        running.close()
+
+
 def test_of_the_clock_a_chart_may_take_more_than_of_a_processor(tmp_path: Path) -> None:
     """On a machine that does other things a process waits: nothing is blamed on the chart."""
     running = ChartRenderer(program("chart-renderer"), seconds=0.5)

@@ -113,6 +113,14 @@ def test_a_missing_program_is_not_the_charts_fault(tmp_path: Path) -> None:
         HelmProgram("/nowhere/helm", tmp_path).render(files, {}, "one", "suite")
 
 
+def test_a_chart_is_refused_for_what_it_takes_of_a_processor(tmp_path: Path) -> None:
+    endless = "{{ range until 100000 }}{{ range until 100000 }}{{ end }}{{ end }}"
+    with pytest.raises(
+        InputError, match=r"ended with -9 \(memory or time was not enough\); make its templates simpler"
+    ):
+        HelmProgram(program("helm"), tmp_path, seconds=2).render(chart(endless), {}, "one", "suite")
+
+
 def test_a_program_that_does_not_end_is_not_the_charts_fault(tmp_path: Path) -> None:
     silent = tmp_path / "helm"
     silent.write_text("#!/bin/sh\nexec /bin/sleep 600\n")

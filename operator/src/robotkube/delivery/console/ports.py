@@ -9,8 +9,7 @@ from typing import Any, Protocol
 from robotkube.delivery.console.core.chains import View
 from robotkube.delivery.console.core.signing_in import Person
 from robotkube.delivery.console.core.table import Document, TableChange
-
-ALL = "*"
+from robotkube.foundation.documents.core.patterns import ALL
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,12 @@ from typing import Any
 from robotkube.delivery.console.core.asking import Writers
 from robotkube.delivery.console.core.poses import MARK
 from robotkube.delivery.console.core.signing_in import SignIn
-from robotkube.delivery.console.ports import ALL, ManagerPages
+from robotkube.delivery.console.ports import ManagerPages
 from robotkube.foundation.certificates.settings import read_authorities
 from robotkube.foundation.documents.core.patterns import (
     ADDRESSES,
     AGENTS_MQTT_TOPIC,
+    ALL,
     HOST,
     HTTP_URL,
     NAME,

@@ -247,9 +247,8 @@ def _pod(key: str, pod: Document, since_ms: int | None) -> Step:
     text = f"{pod['phase']} on {pod['node'] or 'no node'}"
     details = (("trouble", pod["trouble"]),) if pod["trouble"] else ()
     started = pod["started_ms"]
-    if (
-        started is not None and since_ms is not None and started < since_ms // MS_OF_S * MS_OF_S
-    ):  # Kubernetes tells whole seconds
+    # Kubernetes tells whole seconds
+    if started is not None and since_ms is not None and started // MS_OF_S < since_ms // MS_OF_S:
         since = ("started", second_text(started * NS_OF_MS))
         return Step(POD, key, key, f"{text}, ran before it", state, POD, details=(*details, since))
     return Step(POD, key, key, text, state, POD, started, pod["ready_ms"], "", details)

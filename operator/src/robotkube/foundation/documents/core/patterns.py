@@ -24,6 +24,7 @@ _PRE_RELEASE = rf"(-(?![0-9A-Za-z.-]{{65}}){_IDENTIFIER}(\.{_IDENTIFIER})*)?"
 # Names that become names of objects in Kubernetes.
 NAME = re.compile(_LABEL, re.ASCII)  # of an agent, area, application, release, requirement, image in a chart
 NAME_OR_ALL = re.compile(rf"[*]|{_LABEL}", re.ASCII)
+ALL = "*"  # the one word of NAME_OR_ALL that is no name
 SUBDOMAIN = re.compile(_SUBDOMAIN, re.ASCII)  # of a custom resource, rule or recording: with dots, unlike NAME
 TASK = re.compile(rf"{_LABEL}/{_SUBDOMAIN}", re.ASCII)  # <namespace>/<name>
 POD_NAME = re.compile(rf"(?P<deployment>{_LABEL})-[a-z0-9]{{1,10}}-[a-z0-9]{{5}}", re.ASCII)  # of a Deployment's pod

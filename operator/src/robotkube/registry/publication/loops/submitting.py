@@ -144,17 +144,10 @@ class Submitting:
         identifier = sha256(canonical_json(dict(changes))).removeprefix("sha256:")[:TOPIC_DIGITS]
         topic = TOPIC + identifier
         title = f"submit: {_names(about)} ({identifier})"  # forges do not show the topic of an open pull request
-        commit = ""
-
-        def found_or_proposed() -> PullRequest | None:
-            nonlocal commit
-            pull = self._find(title)
-            if pull is None:
-                commit = commit or self._proposals.commit(tip, changes, f"{title}\n")
-                pull = self._propose(commit, topic, title)
-            return pull
-
-        pull = self._patiently(found_or_proposed)
+        pull = self._find(title)
+        if pull is None:
+            commit = self._proposals.commit(tip, changes, f"{title}\n")
+            pull = self._patiently(lambda: self._find(title) or self._propose(commit, topic, title))
         if pull is None:
             raise UnavailableError(
                 f"the forge accepted submission {topic}, but shows no pull request for it; try again"

@@ -17,8 +17,8 @@ from robotkube.delivery.deployment.core.releases import Release, Source
 from robotkube.delivery.manager.core.placement.placement import Agent, Fleet, NodeState
 from robotkube.delivery.tasks.core.task_description import LINK_NOT_CONSENTED
 from robotkube.errors import RefusalError
+from robotkube.foundation.documents.core.patterns import ALL
 
-ALL = "*"
 OUTSIDE_SCOPE = "OutsideScope"
 PLATFORM = "platform"
 VALUES = "(charts/robotkube, values managers)"
