@@ -1,6 +1,6 @@
 /** What the parts of the page share: the live table, the place in the page, the session. */
 import { createContext } from "preact";
-import { useContext, useEffect, useReducer, useState } from "preact/hooks";
+import { useContext, useEffect, useReducer, useRef, useState } from "preact/hooks";
 import { Live } from "./live/live";
 import type { Item, Kind, Session, WhyKind } from "./live/model";
 import { tracksOf } from "./map/fleet";
@@ -13,19 +13,16 @@ export const useSession = (): Session | undefined => useContext(SessionContext);
 
 const SECOND_MS = 1000;
 
-/** Draw again when `signature` changes with the table or the connection. Looked at once per frame at most. */
+/** Draw again when `signature` is another than it was when this was drawn. Looked at once per frame at most. */
 export function useSignature(signature: () => string): void {
   const [, draw] = useReducer<number, void>((times) => times + 1, 0);
+  const drawn = useRef({ signature, value: "" });
+  drawn.current = { signature, value: signature() };
   useEffect(() => {
-    let last = signature();
     let frame = 0;
     const look = (): void => {
       frame = 0;
-      const now = signature();
-      if (now !== last) {
-        last = now;
-        draw();
-      }
+      if (drawn.current.signature() !== drawn.current.value) draw();
     };
     const end = live.listen(() => {
       frame ||= requestAnimationFrame(look);
@@ -44,9 +41,9 @@ export function useItems<K extends Kind>(kind: K): ReadonlyMap<string, Item<K>> 
   return live.table.maps[kind] as ReadonlyMap<string, Item<K>>;
 }
 
-/** The connection, drawn again when it changes. */
+/** The connection, drawn again when it changes, or something is heard for the first time. */
 export function useConnection(): Live["connection"] {
-  useSignature(() => `${live.connection.mode} ${live.connection.problem}`);
+  useSignature(() => `${live.connection.mode} ${live.heardAt > 0} ${live.connection.problem}`);
   return live.connection;
 }
 

@@ -1,6 +1,6 @@
 """`ci/python -m tests.stages.console PAGE [--agents N] [--as MODE]`: the page PAGE before a synthetic fleet, for
-pictures and measurements. Modes: live; reader (who may not write); buffered (the stream says nothing); away (only the
-page is there); signed-out; forbidden; empty (a platform without agents).
+pictures and measurements. Modes: live; reader (who may not write); buffered (the stream says nothing, and the snapshot
+comes after the session); away (only the page is there); signed-out; forbidden; empty (a platform without agents).
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ REFUSALS = {
 
 
 MODES = ("live", "reader", "buffered", "empty", *REFUSALS)
+LATE_SECONDS = 0.5
 
 
 def version() -> int:
@@ -64,6 +65,7 @@ class Handler(BaseHTTPRequestHandler):
             status, title, detail, more = REFUSALS[self.mode]
             self.document(status, {"status": status, "title": title, "detail": detail} | more)
         elif words[1] == "snapshot":
+            time.sleep(LATE_SECONDS if self.mode == "buffered" else 0)
             self.document(200, self.snapshot())
         elif words[1] == "changes":
             self.document(200, self.fleet.change(self.after(parts.query), version()))
