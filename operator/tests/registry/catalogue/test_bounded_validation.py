@@ -55,20 +55,29 @@ def test_answers_are_those_of_the_library(schemas: BoundedSchemas, value: Any) -
     assert tools.check_schema({"pattern": "("}) == json_schema.check_schema({"pattern": "("})
 
 
-@pytest.mark.parametrize(("schema", "value"), [(SLOW, VALUE), (DOUBLING, {})])
-def test_what_takes_for_ever_is_refused_and_the_next_is_checked(
-    schemas: BoundedSchemas, schema: dict[str, Any], value: Any
-) -> None:
+@pytest.fixture
+def little(monkeypatch: pytest.MonkeyPatch) -> tuple[dict[str, Any], str]:
+    """A schema and a value whose check is refused as one that takes too much, and takes no second to be."""
+    monkeypatch.setattr(bounded_process, "ANSWER_BYTES_MAX", 100)
+    return {"maxLength": 1}, "x" * 1000
+
+
+def test_what_takes_for_ever_is_refused_and_the_next_is_checked(schemas: BoundedSchemas) -> None:
     began = processor_seconds()
-    [problem] = schemas.validate(schema, value, "spec.values")
+    [problem] = schemas.validate(SLOW, VALUE, "spec.values")
     assert problem.startswith(f"spec.values: {TOO_MUCH}")
     assert processor_seconds() - began < PROCESSOR_SECONDS_MAX
     assert schemas.validate(GOOD, {"name": "abc"}) == []
 
 
-def test_of_the_tools_it_is_an_error(schemas: BoundedSchemas) -> None:
+def test_an_answer_beyond_the_bound_is_refused(schemas: BoundedSchemas, little: tuple[dict[str, Any], str]) -> None:
+    [problem] = schemas.validate(*little, "values")
+    assert TOO_MUCH in problem
+
+
+def test_of_the_tools_it_is_an_error(schemas: BoundedSchemas, little: tuple[dict[str, Any], str]) -> None:
     with pytest.raises(InputError, match="simplify patterns"):
-        schemas.tools().validate(SLOW, VALUE)
+        schemas.tools().validate(*little)
 
 
 def test_calls_that_are_sent_ahead_are_answered_each_by_itself() -> None:
@@ -103,11 +112,11 @@ def test_what_was_taken_for_valid_is_told_and_not_taken_for_it_again() -> None:
     assert not ahead.settled()
 
 
-def test_what_takes_too_much_was_not_valid(schemas: BoundedSchemas) -> None:
+def test_what_takes_too_much_was_not_valid(schemas: BoundedSchemas, little: tuple[dict[str, Any], str]) -> None:
     ahead = schemas.ahead()
-    assert ahead.validate(SLOW, VALUE, "spec.values") == []
+    assert ahead.validate(*little, "spec.values") == []
     assert not ahead.settled()
-    assert ahead.validate(SLOW, VALUE, "spec.values")[0].startswith(f"spec.values: {TOO_MUCH}")
+    assert ahead.validate(*little, "spec.values")[0].startswith(f"spec.values: {TOO_MUCH}")
 
 
 def test_a_process_that_went_is_started_again() -> None:
@@ -116,12 +125,6 @@ def test_a_process_that_went_is_started_again() -> None:
     assert process.call("validate", GOOD, {"name": "abc"}, "values") == []
     process.close()
     process.close()
-
-
-def test_an_answer_beyond_the_bound_is_refused(schemas: BoundedSchemas, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bounded_process, "ANSWER_BYTES_MAX", 100)
-    [problem] = schemas.validate({"maxLength": 1}, "x" * 1000, "values")
-    assert TOO_MUCH in problem
 
 
 def test_a_submission_whose_schema_takes_for_ever_is_refused(schemas: BoundedSchemas, tmp_path: Path) -> None:
