@@ -46,14 +46,20 @@ def code(page: Path) -> Iterator[str]:
 def verbs() -> dict[str, set[str]]:
     """Noun -> verbs of the command line's own parser."""
     found: dict[str, set[str]] = {}
-    for noun, parser in choices(cli.parser()).items():
+    for noun, parser in nouns().items():
         found[noun] = set(choices(parser))
     return found
 
 
+@cache
+def nouns() -> dict[str, argparse.ArgumentParser]:
+    """Noun -> its parser, of the command line's own parser."""
+    return choices(cli.parser())
+
+
 def words_of(noun: str) -> set[str]:
     """The words that may follow a noun: its verbs, or what its first argument may be."""
-    parser = choices(cli.parser()).get(noun, argparse.ArgumentParser())
+    parser = nouns().get(noun, argparse.ArgumentParser())
     return {word for action in parser._actions if not action.option_strings for word in action.choices or ()}
 
 

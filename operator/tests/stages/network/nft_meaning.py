@@ -63,7 +63,7 @@ class Table:
         rest = line
         while rest:
             for pattern, holds in CONDITIONS:
-                if found := re.match(pattern, rest):
+                if found := pattern.match(rest):
                     answer = holds(self, packet, found)
                     if answer is False:
                         return ""
@@ -92,7 +92,7 @@ def _mapped(table: Table, packet: Packet, found: re.Match[str]) -> bool | str:
     return table.maps[found[2]].get(f'"{key}"' if found[1].endswith("name") else key, True)
 
 
-CONDITIONS: tuple[tuple[str, Condition], ...] = (
+_WORDS: tuple[tuple[str, Condition], ...] = (
     (r"ct state established,related", lambda *_: False),
     (r"meta nfproto != ipv4", lambda _, packet, __: packet.kind == "ip6"),
     (r"ether type arp iifname \. arp saddr ip @(\S+)", lambda *_: False),
@@ -120,6 +120,7 @@ CONDITIONS: tuple[tuple[str, Condition], ...] = (
     (r'counter|comment "[^"]*"', lambda *_: True),
     (r"(accept|drop|return|jump \S+|goto \S+)", lambda _, __, found: found[1]),
 )
+CONDITIONS = tuple((re.compile(words), holds) for words, holds in _WORDS)
 
 
 def read(text: str) -> dict[str, Table]:
