@@ -11,7 +11,8 @@ from robotkube.cli.main import main
 from tests.stages.kubernetes.served_objects import serving
 from tests.stages.paths import REPOSITORY
 
-MANAGER = "/api/v1/namespaces/robotkube/services/manager:8080/proxy/catalogue"
+SERVICES = "/api/v1/namespaces/robotkube/services"
+MANAGER = f"{SERVICES}/manager:8080/proxy/catalogue"
 ENTRY = {"kind": "application", "name": "of-the-platform", "version": "0.1.0", "state": "verified"}
 KUBECONFIG = "kubernetes.config.kube_config.KUBE_CONFIG_DEFAULT_LOCATION"
 """The client reads the environment's KUBECONFIG into this when it is imported."""
@@ -21,6 +22,15 @@ Run = Callable[..., tuple[int, str, str]]
 
 def platform(path: str, query: dict[str, list[str]]) -> dict[str, object] | None:
     return {"entries": [ENTRY]} if path == MANAGER else None
+
+
+def platform_by_https(path: str, query: dict[str, list[str]]) -> dict[str, object] | None:
+    """Asked in clear text the manager's port refuses."""
+    pages: dict[str, dict[str, object]] = {
+        f"{SERVICES}/manager": {"spec": {"ports": [{"name": "https", "port": 8080}]}},
+        f"{SERVICES}/https:manager:8080/proxy/catalogue": {"entries": [ENTRY]},
+    }
+    return pages.get(path)
 
 
 def cluster_without_platform(path: str, query: dict[str, list[str]]) -> None:
@@ -49,7 +59,7 @@ def reached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, request: pytest.Fix
         yield kubeconfig
 
 
-@pytest.mark.parametrize("reached", [platform], indirect=True)
+@pytest.mark.parametrize("reached", [platform, platform_by_https], indirect=True)
 def test_the_platform_is_asked_when_it_answers(run: Run, reached: Path) -> None:
     for words in (("search", "of-the"), ("list",), ("show", "of-the-platform")):
         code, out, err = run("registry", *words)

@@ -25,7 +25,7 @@ from robotkube.foundation.kubernetes.adapters import client
 OBJECTS_MAX = 5000
 PAGE_OBJECTS = 500
 PAGES_MAX = 200
-FORGE, FORGE_TLS = "forge", "https"  # its Service, and the name of the port there that speaks TLS
+FORGE, ENCRYPTED = "forge", "https"  # its Service, and the name of a Service's port that speaks TLS
 EVIDENCE_KEYS = "evidence-keys"
 MADE_KEYS = "robotkube.io/made-keys"  # its annotation with the ConfigMap of keys that were made in the cluster
 IMAGES = "platform-images"
@@ -152,12 +152,23 @@ class Platform:
         return self._of_manager("POST", "/explain", question)
 
     def _of_manager(self, method: str, path: str, body: Any = None) -> Mapping[str, Any]:
-        where = f"/api/v1/namespaces/{self._namespace}/services/{self._manager}:8080/proxy{path}"
+        service = f"{self._manager_scheme}{self._manager}:8080"
+        where = f"/api/v1/namespaces/{self._namespace}/services/{service}/proxy{path}"
         try:
             return self._read(method, where, body=body)
         except KeyError as error:
             missing = f"no Service {self._manager} in namespace {self._namespace}; see --platform-namespace"
             raise InputError(f"{missing} and --manager") from error
+
+    @functools.cached_property
+    def _manager_scheme(self) -> str:
+        """What the API server's proxy has before the name of a Service that speaks TLS; empty also where the Service
+        may not be read."""
+        try:
+            encrypted = self._service(self._manager)["ports"][0].get("name") == ENCRYPTED
+        except InputError:
+            return ""
+        return "https:" if encrypted else ""
 
     def database_accounts(self, agent: str = "") -> Mapping[str, Mapping[str, str]]:
         """The values of the Secrets `database-account`, by agent that records; InputError when there is none."""
@@ -206,7 +217,7 @@ class Platform:
         """The URL of the platform's forge at its Service's address, as browsers reach it. Where that speaks TLS, this
         process believes its certificate from then on, if the platform's authority signed it."""
         spec = self._service(FORGE)
-        encrypted = spec["ports"][0].get("name") == FORGE_TLS
+        encrypted = spec["ports"][0].get("name") == ENCRYPTED
         if encrypted:
             trust_text(self.authorities())
         return f"{'https' if encrypted else 'http'}://{spec['clusterIP']}:{spec['ports'][0]['port']}"

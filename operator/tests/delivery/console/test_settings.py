@@ -85,3 +85,13 @@ def test_signing_in(tmp_path: Path) -> None:
 def test_what_is_wrong_is_named(tmp_path: Path, changed: dict[str, Any], problem: str) -> None:
     with pytest.raises(DocumentError, match=problem):
         read(tmp_path, **changed)
+
+
+def test_whom_it_believes_of_managers_and_of_the_provider(tmp_path: Path) -> None:
+    ours, theirs = "/etc/robotkube/authorities/ca.crt", "/etc/ssl/theirs.crt"
+    both = read(tmp_path, authorities=ours, sign_in={**SIGN_IN, "authorities": theirs}, anybody_reads=None)
+    assert both.authorities == (Path(ours), Path(theirs))
+    assert read(tmp_path, authorities=ours).authorities == (Path(ours),)
+    assert read(tmp_path).authorities == ()
+    with pytest.raises(DocumentError, match=r"authorities: .ca\.crt. must match"):
+        read(tmp_path, authorities="ca.crt")

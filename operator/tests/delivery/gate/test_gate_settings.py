@@ -93,3 +93,11 @@ def test_a_wrong_port_for_health_is_refused(tmp_path: Path, port: Any, problem: 
     with pytest.raises(DocumentError) as refused:
         configuration(tmp_path, oci_registry=OCI_REGISTRY, listen=listen)
     assert refused.value.problems == (problem,)
+
+
+def test_the_gate_serves_and_asks_by_https(tmp_path: Path) -> None:
+    listen = {"address": "127.0.0.1", "port": 8080, "certificate": "/var/run/secrets/robotkube/certificate"}
+    authorities = "/etc/robotkube/authorities/ca.crt"
+    read = configuration(tmp_path, oci_registry=OCI_REGISTRY, listen=listen, authorities=authorities)
+    assert (read.listen.certificate, read.authorities) == (Path(listen["certificate"]), Path(authorities))
+    assert configuration(tmp_path, oci_registry=OCI_REGISTRY).authorities is None

@@ -53,3 +53,30 @@ def test_without_the_program_that_renders_images_are_left_to_the_gate(
     renderer = renderer_of({"ROBOTKUBE_RENDERER": missing})
     assert renderer is not None
     renderer.close()
+
+
+LISTEN = {"address": "127.0.0.1", "port": 8080}
+ENCRYPTED = {**LISTEN, "certificate": "/var/run/secrets/robotkube/certificate"}
+AUTHORITIES = "/etc/robotkube/authorities/ca.crt"
+NAME = "manager.robotkube.svc.cluster.local"
+
+
+def by_https(folder: Path, listen: dict[str, Any], **lease: str) -> Path:
+    path = settings(folder, listen=listen, authorities=AUTHORITIES)
+    document = yaml.safe_load(path.read_text())
+    document["lease"] |= lease
+    path.write_text(yaml.safe_dump(document))
+    return path
+
+
+def test_by_https_the_processes_of_a_manager_have_a_name_for_each_other(tmp_path: Path) -> None:
+    read = read_settings(by_https(tmp_path, ENCRYPTED, server_name=NAME), read_configuration)
+    assert (read.server_name, read.listen.certificate) == (NAME, Path(ENCRYPTED["certificate"]))
+    assert read.authorities == Path(AUTHORITIES)
+
+
+@pytest.mark.parametrize(("listen", "lease"), [(LISTEN, {"server_name": NAME}), (ENCRYPTED, {})])
+def test_one_without_the_other_is_refused(tmp_path: Path, listen: dict[str, Any], lease: dict[str, str]) -> None:
+    problem = r"lease\.server_name: goes with listen\.certificate: .* give both or neither"
+    with pytest.raises(DocumentError, match=problem):
+        read_settings(by_https(tmp_path, listen, **lease), read_configuration)

@@ -58,7 +58,7 @@ class ConsoleProcess:
         self._links = LinkReader(self.model, self._pages_of_agents, self.watches.bridges)
         self._poses = _poses(configuration, self.model)
         sign_in = configuration.sign_in
-        trust(configuration.authorities)
+        trust(*configuration.authorities)
         page = read_files(configuration.page)
         encrypted = sign_in is not None and sign_in.encrypted
         around = ConsoleSurroundings(configuration.hosts, encrypted, configuration.links, page)

@@ -47,8 +47,8 @@ class PoseSource:
 class ConsoleConfiguration:
     """Everything the process needs, secrets included. Without `sign_in` everybody who reaches it reads; without `poses`
     the map has none. `hosts`: names by which browsers reach it; `proxies`: whose word counts for who asks;
-    `writers`: who may ask for tasks; `authorities`: a file with those that may have signed the provider's certificate
-    besides the usual ones."""
+    `writers`: who may ask for tasks; `authorities`: files with those that may have signed certificates of managers, and
+    of the provider, besides the usual ones."""
 
     listen: files.Listen
     log_level: str
@@ -63,14 +63,17 @@ class ConsoleConfiguration:
     poses: PoseSource | None
     sign_in: SignIn | None
     writers: tuple[Writers, ...]
-    authorities: Path | None = None
+    authorities: tuple[Path, ...] = ()
 
 
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ConsoleConfiguration:
     """The settings document of the console."""
     required = ["listen", "log_level", "namespaces", "agents", "managers", "hosts"]
     root = reader.mapping(
-        document, "", required, ["poses", "broker", "page", "links", "proxies", "sign_in", "anybody_reads"]
+        document,
+        "",
+        required,
+        ["poses", "broker", "page", "links", "proxies", "sign_in", "anybody_reads", "authorities"],
     )
     namespaces = reader.mapping(root.get("namespaces") or {}, "namespaces", ["platform", "argocd"])
     links = reader.mapping(root.get("links") or {}, "links", [], ["forge", "argocd"])
@@ -88,7 +91,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ConsoleCo
         page=None if page is None else Path(reader.word(page, "page", files.PATH)),
         poses=_poses(reader, root),
         sign_in=_sign_in(reader, root),
-        authorities=read_authorities(reader, root.get("sign_in") or {}, "sign_in"),
+        authorities=_authorities(reader, root),
         writers=tuple(_writers(reader, root.get("sign_in"))),
     )
 
@@ -159,6 +162,13 @@ def _writers(reader: Reader, sign_in: Any) -> Sequence[Writers]:
         group = reader.word(given.get("group"), f"{path}.group", GROUP)
         writers.append(Writers(group, frozenset(_words(reader, given.get("namespaces"), f"{path}.namespaces", NAME))))
     return writers
+
+
+def _authorities(reader: Reader, root: Mapping[str, Any]) -> tuple[Path, ...]:
+    sign_in = root.get("sign_in")
+    found = [read_authorities(reader, root, "")]
+    found += [read_authorities(reader, sign_in, "sign_in")] if isinstance(sign_in, Mapping) else []
+    return tuple(one for one in found if one is not None)
 
 
 def _words(reader: Reader, value: Any, path: str, pattern: re.Pattern[str]) -> tuple[str, ...]:

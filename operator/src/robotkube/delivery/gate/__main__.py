@@ -29,6 +29,7 @@ from robotkube.delivery.gate.loops.rules import GateSettings
 from robotkube.delivery.manager.core.placement.scopes import DeclaredManager, Scope, overlaps
 from robotkube.errors import DocumentError, UnavailableError
 from robotkube.foundation.certificates.adapters.certificate_authorities import trust
+from robotkube.foundation.certificates.settings import read_authorities
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
 from robotkube.foundation.documents.core.patterns import CHARTS_URL, HTTP_URL, WORD
 from robotkube.foundation.documents.core.reader import Reader
@@ -67,7 +68,8 @@ FORMER_KEYS = (files.OCI_REGISTRY,)
 @dataclass(frozen=True)
 class GateConfiguration:
     """The settings of the process, secrets included: `webhook_secret` is the forge's, `proposer_secrets` are what it
-    shares with each account. `suites_url` is empty when there is no suite-runner."""
+    shares with each account. `suites_url` is empty when there is no suite-runner. `authorities`: a file with those that
+    may have signed certificates of suite-runner and managers."""
 
     listen: files.Listen
     log_level: str
@@ -85,12 +87,13 @@ class GateConfiguration:
     suites_token: str
     gate: GateSettings
     publication: PublicationSettings
+    authorities: Path | None = None
 
 
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> GateConfiguration:
     """The configuration in the gate's settings document."""
     keys = ["listen", "log_level", "forge", "oci_registry", "local_builds", "evidence", "hook", "webhook"]
-    root = reader.mapping(document, "", keys, ["suites", "reserved_agents"])
+    root = reader.mapping(document, "", keys, ["suites", "reserved_agents", "authorities"])
     forge = root.get("forge") or {}
     access = read_forge(reader, forge, more=["proposers", "publishers"])
     registry = reader.mapping(root.get("oci_registry") or {}, "oci_registry", ["charts", "staging"])
@@ -102,7 +105,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> GateConfi
     webhook_secret = files.secret(reader, webhook.get("secret"), "webhook.secret")
     proposers = _proposers(reader, forge.get("proposers"), webhook_secret)
     return GateConfiguration(
-        listen=files.listen(reader, root.get("listen")),
+        listen=files.listen(reader, root.get("listen"), encrypts=True),
         log_level=files.log_level(reader, root.get("log_level")),
         forge=access.address,
         account=access.account,
@@ -133,6 +136,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> GateConfi
             charts_url=charts_url,
             local_builds=_yes_or_no(reader, root.get("local_builds"), "local_builds"),
         ),
+        authorities=read_authorities(reader, root, ""),
     )
 
 
@@ -352,6 +356,7 @@ def build_server(
         deliver,
         signed=objects_posts(gate, configuration.gate.deployment, configuration.proposer_secrets),
         health_port=configuration.listen.health_port,
+        certificate=configuration.listen.certificate,
     )
 
 
@@ -362,7 +367,7 @@ def _now() -> str:
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     """Serve webhooks, health and metrics; run both loops on threads until the process shall end."""
     configuration = files.start_with_settings(process, read_configuration, environment, FORMER_KEYS)
-    trust(configuration.forge.authorities)
+    trust(configuration.forge.authorities, configuration.authorities)
     work = Path(environment.get("ROBOTKUBE_WORK", "/tmp/gate"))  # noqa: S108 - the pod's own volume
     program = environment.get(PROGRAM_VARIABLE, PROGRAM)
     deployment_schemas, renderer = BoundedSchemas(), ChartRenderer(program)

@@ -24,6 +24,7 @@ from kubernetes.client import ApiClient
 from robotkube.delivery.deployment.core.policies.agents import read_declared
 from robotkube.delivery.manager.adapters.argocd import ArgoCDServer
 from robotkube.delivery.manager.adapters.kubernetes_cluster import KubernetesCluster
+from robotkube.delivery.manager.adapters.leader_proxy import LeaderRequests
 from robotkube.delivery.manager.core.broken_links import BrokenLinks, broken_links
 from robotkube.delivery.manager.core.placement.placement import Agent
 from robotkube.delivery.manager.loops.explain import Explainer
@@ -48,14 +49,14 @@ from robotkube.delivery.tasks.loops.link_reports import LinkReports
 from robotkube.delivery.tasks.loops.mqtt_gateway import MqttTaskGateway, gateway_metrics
 from robotkube.errors import UnavailableError
 from robotkube.foundation.certificates.adapters.certificate_authorities import trust
+from robotkube.foundation.certificates.settings import read_authorities
 from robotkube.foundation.documents.adapters.jinja2_templates import Jinja2Templates
-from robotkube.foundation.documents.core.patterns import CHARTS_URL, HTTP_URL, WORD
+from robotkube.foundation.documents.core.patterns import CHARTS_URL, DNS_NAME, HTTP_URL, WORD
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.forge.adapters.git.notes import GitNotes
 from robotkube.foundation.forge.adapters.push_hooks import ObjectsRelay, SignedPushHook
 from robotkube.foundation.forge.connect import ForgeSettings, read_forge
 from robotkube.foundation.kubernetes.adapters.client import api_client
-from robotkube.foundation.kubernetes.adapters.leader_proxy import LeaderRequests
 from robotkube.foundation.kubernetes.adapters.lease import LeaseElection, identity_of
 from robotkube.foundation.kubernetes.ports import Leadership
 from robotkube.foundation.runtime import settings_file as files
@@ -86,7 +87,8 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class ManagerConfiguration:
-    """Everything the process needs, secrets included."""
+    """Everything the process needs, secrets included. `server_name` is the name in the certificate of the processes
+    that wait for the Lease, `authorities` a file with those that may have signed it, and the gate's."""
 
     listen: files.Listen
     log_level: str
@@ -101,27 +103,35 @@ class ManagerConfiguration:
     gate_objects_url: str
     lease_namespace: str
     lease_name: str
+    server_name: str
     broker: BrokerAccount | None
     evidence_keys: Path
     traces: str
     manager: ManagerSettings
+    authorities: Path | None = None
 
 
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerConfiguration:
     """Read the settings document of the manager."""
     keys = ["listen", "log_level", "forge", "oci_registry", "evidence", "argocd", "hook", "webhook"]
     keys += ["agents", "lease", "scope", "operators", "node_lost_seconds"]
-    root = reader.mapping(document, "", keys, ["broker", "traces", "gate", "managers"])
+    root = reader.mapping(document, "", keys, ["broker", "traces", "gate", "managers", "authorities"])
     oci_registry = reader.mapping(root.get("oci_registry") or {}, "oci_registry", ["charts"])
     argocd = reader.mapping(root.get("argocd") or {}, "argocd", ["url", "credentials", "namespace", "project"])
     hook = reader.mapping(root.get("hook") or {}, "hook", ["url", "secret"])
-    lease = reader.mapping(root.get("lease") or {}, "lease", ["namespace", "name"])
+    lease = reader.mapping(root.get("lease") or {}, "lease", ["namespace", "name"], ["server_name"])
     webhook = reader.mapping(root.get("webhook") or {}, "webhook", ["secret"])
     evidence = reader.mapping(root.get("evidence") or {}, "evidence", ["keys"])
     gate = reader.mapping(root.get("gate") or {}, "gate", [], ["objects"])
     agents = _agents(reader, root.get("agents"))
+    listen = files.listen(reader, root.get("listen"), encrypts=True)
+    if (listen.certificate is None) != (lease.get("server_name") is None):
+        reader.problems.append(
+            "lease.server_name: goes with listen.certificate: the name in that certificate, by which the processes of "
+            "this manager verify each other; give both or neither"
+        )
     return ManagerConfiguration(
-        listen=files.listen(reader, root.get("listen")),
+        listen=listen,
         log_level=files.log_level(reader, root.get("log_level")),
         forge=read_forge(reader, root.get("forge")),
         argocd_url=reader.word(argocd.get("url"), "argocd.url", HTTP_URL),
@@ -134,6 +144,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
         gate_objects_url=reader.word(gate.get("objects"), "gate.objects", HTTP_URL, default=""),
         lease_namespace=reader.word(lease.get("namespace"), "lease.namespace", WORD),
         lease_name=reader.word(lease.get("name"), "lease.name", WORD),
+        server_name=reader.word(lease.get("server_name"), "lease.server_name", DNS_NAME, default=""),
         broker=read_broker(reader, root["broker"]) if root.get("broker") is not None else None,
         evidence_keys=Path(reader.word(evidence.get("keys"), "evidence.keys", files.PATH)),
         traces=read_traces(reader, root.get("traces")),
@@ -143,6 +154,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
             operators=read_operators(reader, root, [agent.name for agent in agents]),
             node_lost_seconds=read_seconds(reader, root.get("node_lost_seconds"), "node_lost_seconds"),
         ),
+        authorities=read_authorities(reader, root, ""),
     )
 
 
@@ -250,7 +262,7 @@ class Waker:
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     """Run the manager's steps beside its watches, webhooks and pages until the process shall end."""
     configuration = files.start_with_settings(process, read_configuration, environment, FORMER_KEYS)
-    trust(configuration.forge.address.authorities)
+    trust(configuration.forge.address.authorities, configuration.authorities)
     kubeconfig = environment.get("KUBECONFIG")
     api = api_client(kubeconfig, in_cluster=kubeconfig is None)
     waker = Waker()
@@ -267,7 +279,7 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     gateway = _task_gateway(configuration, api, cluster, election, holds, links)
     account = configuration.forge.account.username
     telemetry = ManagerTelemetry(manager, cluster, cluster, holds, configuration.traces, account)
-    leader = LeaderRequests(election)
+    leader = LeaderRequests(election, server_name=configuration.server_name)
     server = build_server(configuration, manager, cluster, gateway, telemetry, leader)
     server.start()
     cluster.start()
@@ -373,6 +385,7 @@ def build_server(
         posts={"/explain": Explainer(manager.what_if, cluster)},
         forward=leader,
         health_port=configuration.listen.health_port,
+        certificate=configuration.listen.certificate,
     )
 
 

@@ -45,6 +45,7 @@ class RightsProcess:
             configuration.webhook_secret.encode(),
             self._deliver,
             health_port=configuration.listen.health_port,
+            certificate=configuration.listen.certificate,
         )
 
     def run(self, stopping: threading.Event) -> None:

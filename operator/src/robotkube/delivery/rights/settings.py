@@ -37,7 +37,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> RightsCon
     root = reader.mapping(document, "", ["listen", "log_level", "forge", "webhook", "broker", *ACCOUNT_KEYS])
     webhook = reader.mapping(root.get("webhook") or {}, "webhook", ["secret"])
     return RightsConfiguration(
-        listen=files.listen(reader, root.get("listen")),
+        listen=files.listen(reader, root.get("listen"), encrypts=True),
         log_level=files.log_level(reader, root.get("log_level")),
         forge=read_forge(reader, root.get("forge"), catalogue=False),
         webhook_secret=files.secret(reader, webhook.get("secret"), "webhook.secret"),

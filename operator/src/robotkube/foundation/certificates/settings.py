@@ -8,6 +8,7 @@ from typing import Any
 
 from robotkube.foundation.certificates.adapters.verification import ServerVerification
 from robotkube.foundation.documents.core.reader import Reader
+from robotkube.foundation.documents.core.yaml_codec import join
 from robotkube.foundation.runtime import settings_file as files
 
 
@@ -21,7 +22,7 @@ def read_server_verification(reader: Reader, value: Any, path: str, host: str) -
 
 def read_authorities(reader: Reader, values: Mapping[str, Any], path: str) -> Path | None:
     """The file of those that may have signed for a server besides the usual ones: the key `authorities` of `values`,
-    which stand at `path`. None without it."""
+    which stand at `path`; of the whole document, for the other processes of the platform. None without it."""
     if values.get("authorities") is None:
         return None
-    return Path(reader.word(values["authorities"], f"{path}.authorities", files.PATH))
+    return Path(reader.word(values["authorities"], join(path, "authorities"), files.PATH))

@@ -54,11 +54,13 @@ class Credentials:
 @dataclass(frozen=True)
 class Listen:
     """Address and ports at which a process serves HTTP: `health_port` answers health and metrics alone, None where
-    there is no such port."""
+    there is no such port. `port` is served by HTTPS with the certificate in the folder `certificate`, if there is
+    one."""
 
     address: str
     port: int
     health_port: int | None = None
+    certificate: Path | None = None
 
 
 def settings_path(environment: Mapping[str, str] = os.environ) -> Path:
@@ -135,15 +137,20 @@ def _secret(reader: Reader, folder: str, name: str, path: str) -> str:
     return text
 
 
-def listen(reader: Reader, value: Any, path: str = "listen") -> Listen:
-    """Address and ports; 0 is any free one."""
-    settings = reader.mapping(value or {}, path, ["address", "port"], ["health_port"])
+def listen(reader: Reader, value: Any, path: str = "listen", encrypts: bool = False) -> Listen:
+    """Address and ports; 0 is any free one. `encrypts`: the process can serve by HTTPS, so it may have a
+    certificate."""
+    more = ["certificate"] if encrypts else []
+    settings = reader.mapping(value or {}, path, ["address", "port"], ["health_port", *more])
     port = _port(reader, settings.get("port"), f"{path}.port")
     health = settings.get("health_port")
     health_port = None if health is None else _port(reader, health, f"{path}.health_port")
     if health_port and health_port == port:
         reader.problems.append(f"{path}.health_port: is the same as {path}.port; give it a port of its own")
-    return Listen(reader.word(settings.get("address"), f"{path}.address", WORD), port, health_port)
+    address = reader.word(settings.get("address"), f"{path}.address", WORD)
+    folder = settings.get("certificate")
+    certificate = None if folder is None else Path(reader.word(folder, f"{path}.certificate", PATH))
+    return Listen(address, port, health_port, certificate)
 
 
 def _port(reader: Reader, value: Any, path: str) -> int:

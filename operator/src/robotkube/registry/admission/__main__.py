@@ -57,7 +57,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> Admission
     evidence = reader.mapping(root.get("evidence") or {}, "evidence", ["keys"])
     webhook = reader.mapping(root.get("webhook") or {}, "webhook", ["secret"])
     return AdmissionConfiguration(
-        listen=files.listen(reader, root.get("listen")),
+        listen=files.listen(reader, root.get("listen"), encrypts=True),
         log_level=files.log_level(reader, root.get("log_level")),
         forge=read_forge(reader, root.get("forge"), deployment=False),
         webhook_secret=files.secret(reader, webhook.get("secret"), "webhook.secret"),
@@ -105,6 +105,7 @@ class AdmissionWriter:
             configuration.webhook_secret.encode(),
             self._deliver,
             health_port=configuration.listen.health_port,
+            certificate=configuration.listen.certificate,
         )
 
     def run(self, stopping: threading.Event) -> None:

@@ -56,6 +56,7 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
         MetricsPage(queue.metrics).text,
         put=endpoint.put,
         health_port=configuration.listen.health_port,
+        certificate=configuration.listen.certificate,
     )
     queue.start()
     server.start()

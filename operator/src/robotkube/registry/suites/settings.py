@@ -48,7 +48,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> RunnerCon
     oci_registry = reader.mapping(root.get("oci_registry") or {}, "oci_registry", ["staging", "verified", "images"])
     images = reader.mapping(root.get("images") or {}, "images", ["observer", "broker", "database"])
     return RunnerConfiguration(
-        listen=files.listen(reader, root.get("listen")),
+        listen=files.listen(reader, root.get("listen"), encrypts=True),
         log_level=files.log_level(reader, root.get("log_level")),
         forge_url=reader.word(forge.get("url"), "forge.url", HTTP_URL),
         authorities=read_authorities(reader, forge, "forge"),

@@ -10,7 +10,7 @@ from typing import Any
 import httpx
 
 from robotkube.errors import InputError, UnavailableError
-from robotkube.foundation.certificates.adapters.certificate_authorities import certificate_authorities
+from robotkube.foundation.certificates.adapters.certificate_authorities import certificate_authorities, what_failed
 from robotkube.foundation.documents.core.json_codec import read_json
 
 TIMEOUT_SECONDS = 3.0  # until something comes, and then until more does
@@ -61,7 +61,7 @@ class HttpPages:
             with self._client.stream(method, url, content=body or None, headers=JSON, timeout=seconds) as answer:
                 data = self._bounded(answer, url)
         except httpx.HTTPError as error:
-            raise UnavailableError(f"{url}: {error or type(error).__name__}") from error
+            raise UnavailableError(f"{url}: {what_failed(error, url)}") from error
         if answer.status_code in REFUSALS:
             raise InputError(_message(data) or f"{url}: {answer.status_code}")
         if answer.status_code != 200:

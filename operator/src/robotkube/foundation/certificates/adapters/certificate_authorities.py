@@ -79,12 +79,13 @@ def certificate_authorities(trust_env: bool = True, more: Path | None = None) ->
     return context
 
 
-def trust(authorities: Path | None) -> None:
-    """Believe the authorities in a file (PEM) in all of this process, besides the usual ones, also in contexts that are
-    there already, and as it is at each handshake. InputError when it has none; None changes nothing."""
-    if authorities is not None:
-        load_authorities(ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), ServerVerification(authorities, ""))
-        _trusted[authorities] = None
+def trust(*authorities: Path | None) -> None:
+    """Believe the authorities in these files (PEM) in all of this process, besides the usual ones, also in contexts
+    that are there already, and as they are at each handshake. InputError when one has none; None changes nothing."""
+    for path in authorities:
+        if path is not None:
+            load_authorities(ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), ServerVerification(path, ""))
+            _trusted[path] = None
 
 
 @functools.cache

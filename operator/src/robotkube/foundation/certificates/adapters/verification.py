@@ -77,6 +77,6 @@ def sentence(error: OSError, verification: ServerVerification) -> str:
     if isinstance(error, ssl.SSLError) and error.reason in PLAIN_ANSWERS:
         return (
             "it does not speak TLS at this port; name the port that does (broker 8883, database 27018), or let it; a "
-            "forge in clear text has an address that begins with http://"
+            "forge or a process of the platform in clear text has an address that begins with http://"
         )
     return str(error) or type(error).__name__

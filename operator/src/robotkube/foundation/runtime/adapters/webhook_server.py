@@ -29,6 +29,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from typing import Any, NamedTuple
 
 from robotkube.foundation.runtime.adapters.bounded_connections import (
@@ -38,6 +39,7 @@ from robotkube.foundation.runtime.adapters.bounded_connections import (
     HeadTooLongError,
     RequestReader,
 )
+from robotkube.foundation.runtime.adapters.served_certificate import ServedCertificate, greet
 from robotkube.foundation.runtime.core.webhook_deliveries import (
     RequestError,
     WebhookDelivery,
@@ -91,7 +93,9 @@ class WebServer:
     is a free one, see `ports`. `secret` is that of deliveries; without one there is no /webhook. `signed` are posts
     by path, each with its own secret. `put` gets path, headers (lower-case names) and body of a PUT, and gives status
     and JSON. `forward` may let another process answer genuine deliveries, pages and questions instead. At
-    `health_port`, if there is one, only health and metrics are answered, in places of its own.
+    `health_port`, if there is one, only health and metrics are answered, in places of its own, and always by HTTP;
+    everything else by HTTPS where `certificate` names a folder with tls.crt and tls.key (InputError when they are not
+    there).
     """
 
     def __init__(
@@ -108,12 +112,14 @@ class WebServer:
         forward: Forward | None = None,
         signed: Mapping[str, Signed] | None = None,
         health_port: int | None = None,
+        certificate: Path | None = None,
         bounds: ConnectionBounds = ConnectionBounds(),  # noqa: B008 - it is frozen
         monotonic: Callable[[], float] = time.monotonic,
     ) -> None:
         more = (secret, deliver, pages or {}, put, posts or {}, forward, signed or {})
         answers = _Answers(self._is_serving, ready, metrics, *more)
-        self._servers = {"port": _Server(address, port, answers, bounds, monotonic)}
+        served = None if certificate is None else ServedCertificate(certificate)
+        self._servers = {"port": _Server(address, port, answers, bounds, monotonic, served)}
         if health_port is not None:
             health = _Answers(self._is_serving, ready, metrics)
             self._servers["health_port"] = _Server(address, health_port, health, bounds, monotonic)
@@ -155,8 +161,10 @@ class _Server(ThreadingHTTPServer):
         answers: _Answers,
         bounds: ConnectionBounds,
         monotonic: Callable[[], float],
+        certificate: ServedCertificate | None = None,
     ) -> None:
         self.answers = answers
+        self._certificate = certificate
         self.bounds = bounds
         self.monotonic = monotonic
         self.request_queue_size = bounds.connections
@@ -185,6 +193,11 @@ class _Server(ThreadingHTTPServer):
         self.server_close()
         self._places.end_all()
 
+    def get_request(self) -> tuple[Any, Any]:
+        """Accept a connection."""
+        request, client_address = super().get_request()
+        return request if self._certificate is None else self._certificate.wrap(request), client_address
+
     def process_request(self, request: Any, client_address: Any) -> None:
         """Serve a connection that has a place, drop one that has none."""
         source = str(client_address[0])
@@ -203,6 +216,12 @@ class _Server(ThreadingHTTPServer):
             super().process_request_thread(request, client_address)
         finally:
             self._places.leave(request, str(client_address[0]))
+
+    def finish_request(self, request: Any, client_address: Any) -> None:
+        """Answer what a connection asks, on its thread."""
+        if self._certificate is not None:
+            greet(request, self.bounds.head_seconds)
+        super().finish_request(request, client_address)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Log an error with its trace, but for clients that closed their connection, or had it ended."""

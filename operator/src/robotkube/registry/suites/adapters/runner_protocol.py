@@ -16,7 +16,7 @@ from typing import Any
 import httpx
 
 from robotkube.errors import InputError, UnavailableError
-from robotkube.foundation.certificates.adapters.certificate_authorities import certificate_authorities
+from robotkube.foundation.certificates.adapters.certificate_authorities import certificate_authorities, what_failed
 from robotkube.foundation.documents.core.digests import canonical_json
 from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.patterns import SUITE_RUN
@@ -47,6 +47,7 @@ class SuiteRunnerClient:
     """
 
     def __init__(self, url: str, token: str) -> None:
+        self._url = url
         self._where = f"suite-runner {url}"
         headers = {"Authorization": f"Bearer {token}", "Content-Type": "application/json"}
         self._client = httpx.Client(
@@ -68,7 +69,7 @@ class SuiteRunnerClient:
         try:
             answer = self._client.put(f"{RUNS}{request.key}", content=body)
         except httpx.HTTPError as error:
-            raise UnavailableError(f"{what}: {error or type(error).__name__}") from error
+            raise UnavailableError(f"{what}: {what_failed(error, self._url)}") from error
         if answer.status_code >= 500 or answer.status_code in PASSING | OURS:
             raise UnavailableError(f"{what}: {answer.status_code} {_words(answer)}")
         if answer.is_error:

@@ -7,7 +7,7 @@ from typing import Any
 import httpx
 import pytest
 
-from robotkube.foundation.kubernetes.adapters.leader_proxy import LeaderRequests
+from robotkube.delivery.manager.adapters.leader_proxy import LeaderRequests
 from robotkube.foundation.kubernetes.adapters.lease import identity_of
 from robotkube.foundation.runtime.adapters.webhook_server import WebServer
 from robotkube.foundation.runtime.core.webhook_deliveries import WebhookDelivery, sign
