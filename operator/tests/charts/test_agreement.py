@@ -98,6 +98,22 @@ def test_the_console_reads_the_settings_the_chart_writes(helm: Any, official: An
     assert (settings.sign_in, settings.poses) == (None, None)
 
 
+def test_the_console_has_the_file_of_whom_it_believes_also_without_poses(helm: Any) -> None:
+    """It signs in at a provider of that authority: at somebody else's broker it ended at its start."""
+    authority = "-----BEGIN CERTIFICATE-----\nMIIB\n-----END CERTIFICATE-----\n"
+    secrets = dict.fromkeys(("database", "forge"), "theirs")
+    values: Any = {
+        "broker": {"kind": "external", "external": {"host": "mqtt.example"}},
+        "tls": {"mode": "provided", "provided": secrets, "authorities": authority},
+    }
+    rendered = helm.template(CHARTS / "robotkube", PROFILES / "official.yaml", **values)
+    settings = yaml.safe_load(rendered.one("ConfigMap", "console")["data"]["config.yaml"])
+    assert "poses" not in settings
+    [container] = dict(rendered.pods)["Deployment/console"]["containers"]
+    folder = settings["sign_in"]["authorities"].rpartition("/")[0]
+    assert folder in {mount["mountPath"] for mount in container["volumeMounts"]}
+
+
 def test_the_inspector_judges_the_gates_namespace_as_the_platforms(helm: Any, tmp_path: Path) -> None:
     rendered = helm.template(CHARTS / "robotkube", PROFILES / "official.yaml", gate={"namespace": "signing"})
     settings = read_settings(mounted(rendered, "inspector", tmp_path), inspector.read_configuration)
