@@ -14,7 +14,7 @@ platform.{{ regexFind "@sha256:[0-9a-f]+" . | trimPrefix "@sha256:" }}: ""
 {{- $agents := list }}{{ range .Values.agents }}{{ $agents = append $agents .name }}{{ end }}
 {{- $tests := list }}
 {{- if .Values.suites.enabled }}{{ range $i := until (int .Values.suites.pool) }}{{ $tests = append $tests (include "robotkube.testNamespace" $i) }}{{ end }}{{ end -}}
-listen: {address: 0.0.0.0, port: 8080, health_port: 8081}
+{{ include "robotkube.listen" . }}
 log_level: {{ .Values.logLevel }}
 forge:
   {{- include "robotkube.forgeAddress" . | nindent 2 }}

@@ -29,13 +29,16 @@
 {{- $console := include "robotkube.console" . | fromYaml -}}
 listen: {address: 0.0.0.0, port: 8080, health_port: 8081}
 log_level: {{ .Values.logLevel }}
+{{- with include "robotkube.processAuthorities" . }}
+{{ . }}
+{{- end }}
 namespaces: {platform: {{ .Release.Namespace }}, argocd: {{ .Values.argocd.namespace }}}
 agents:
 {{- include "robotkube.agents" . }}
 managers:
 {{- range fromYamlArray (include "robotkube.managers" .) }}
 - name: {{ .name }}
-  url: "http://{{ include "robotkube.host" (dict "root" $ "name" .name) }}:8080"
+  url: "{{ include "robotkube.processScheme" $ }}://{{ include "robotkube.host" (dict "root" $ "name" .name) }}:8080"
   namespaces: {{ toJson .scope.namespaces }}
 {{- end }}
 hosts: {{ include "robotkube.consoleHosts" . }}

@@ -17,7 +17,7 @@ managers:
 {{- end }}
 
 {{- define "robotkube.rightsSettings" -}}
-listen: {address: 0.0.0.0, port: 8080, health_port: 8081}
+{{ include "robotkube.listen" . }}
 log_level: {{ .Values.logLevel }}
 forge:
   {{- include "robotkube.forgeAddress" . | nindent 2 }}

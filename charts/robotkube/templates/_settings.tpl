@@ -3,8 +3,11 @@
 {{- define "robotkube.managerSettings" -}}
 {{- $manager := .manager }}
 {{- with .root -}}
-listen: {address: 0.0.0.0, port: 8080, health_port: 8081}
+{{ include "robotkube.listen" . }}
 log_level: {{ .Values.logLevel }}
+{{- with include "robotkube.processAuthorities" . }}
+{{ . }}
+{{- end }}
 forge:
   {{- include "robotkube.forgeAddress" . | nindent 2 }}
   credentials: /var/run/secrets/robotkube/forge
@@ -26,8 +29,8 @@ webhook:
 evidence:
   keys: /etc/robotkube/keys
 gate:
-  objects: http://{{ include "robotkube.gateHost" . }}:8080/objects/{{ $manager.name }}
-lease: {namespace: {{ .Release.Namespace }}, name: robotkube-manager-{{ $manager.name }}}
+  objects: {{ include "robotkube.processScheme" . }}://{{ include "robotkube.gateHost" . }}:8080/objects/{{ $manager.name }}
+lease: {namespace: {{ .Release.Namespace }}, name: robotkube-manager-{{ $manager.name }}{{ if include "robotkube.processesEncrypted" . }}, server_name: {{ include "robotkube.host" (dict "root" . "name" $manager.name) }}{{ end }}}
 agents:
 {{- include "robotkube.agents" . }}
 broker:
@@ -46,8 +49,11 @@ traces: {endpoint: {{ . }}}
 {{- end }}
 
 {{- define "robotkube.gateSettings" -}}
-listen: {address: 0.0.0.0, port: 8080, health_port: 8081}
+{{ include "robotkube.listen" . }}
 log_level: {{ .Values.logLevel }}
+{{- with include "robotkube.processAuthorities" . }}
+{{ . }}
+{{- end }}
 forge:
   {{- include "robotkube.forgeAddress" . | nindent 2 }}
   credentials: /var/run/secrets/robotkube/forge
@@ -58,7 +64,7 @@ forge:
   {{- range $manager := fromYamlArray (include "robotkube.managers" .) }}
   - account: {{ .name }}
     namespaces: [{{ include "robotkube.managerAgents" (dict "root" $ "manager" .) | replace " " ", " }}]
-    webhook: http://{{ include "robotkube.host" (dict "root" $ "name" .name) }}:8080/webhook
+    webhook: {{ include "robotkube.processScheme" $ }}://{{ include "robotkube.host" (dict "root" $ "name" .name) }}:8080/webhook
     secret: /var/run/secrets/robotkube/proposers/{{ .name }}/secret
   {{- end }}
   publishers: [publisher]
@@ -75,7 +81,7 @@ evidence:
   verifier: robotkube-gate
 {{- if .Values.suites.enabled }}
 suites:
-  url: http://{{ include "robotkube.host" (dict "root" . "name" "suite-runner") }}:8080
+  url: {{ include "robotkube.processScheme" . }}://{{ include "robotkube.host" (dict "root" . "name" "suite-runner") }}:8080
   token: /var/run/secrets/robotkube/suite-runner/token
 {{- end }}
 hook:
@@ -122,24 +128,31 @@ forge:
     seed: /etc/robotkube/seed/catalogue
     access: { {{- $readers }}: read, gate: write, publisher: read, inspector: read, {{ if .Values.admission.enabled }}admission: read, {{ end }}{{ with $viewers }}{{ . }}: pulls, {{ end }}{{ $people }}: write}
     main: [gate]
+  {{- $otherwise := list }}
   webhooks:
   {{- range $process := splitList " " (include "robotkube.hearers" .) }}
   {{- $secret := printf "/var/run/secrets/robotkube/webhook/%s/secret" $process }}
   {{- $host := eq $process "gate" | ternary (include "robotkube.gateHost" $) (include "robotkube.host" (dict "root" $ "name" $process)) }}
-  {{- $url := printf "http://%s:8080/webhook" $host }}
+  {{- $url := printf "%s://%s:8080/webhook" (include "robotkube.processScheme" $) $host }}
+  {{- $other := printf "%s://%s:8080/webhook" (include "robotkube.processesEncrypted" $ | eq "true" | ternary "http" "https") $host }}
   {{- $events := eq $process "gate" | ternary "[push, pull_request, pull_request_comment]" "[push, pull_request]" }}
   {{- if eq $process "rights" }}{{ $events = "[push]" }}{{ end }}
   {{- if ne $process "admission" }}
+  {{- $otherwise = append $otherwise (dict "repository" "robotkube/deployment" "url" $other) }}
   - {repository: robotkube/deployment, url: {{ $url | quote }}, events: {{ $events }}, secret: {{ $secret }}}
   {{- end }}
   {{- $events = eq $process "gate" | ternary "[push, pull_request]" "[push]" }}
   {{- if ne $process "rights" }}
+  {{- $otherwise = append $otherwise (dict "repository" "robotkube/catalogue" "url" $other) }}
   - {repository: robotkube/catalogue, url: {{ $url | quote }}, events: {{ $events }}, secret: {{ $secret }}}
   {{- end }}
   {{- end }}
-  former_webhooks:                # where the gate stood before it had a namespace of its own
+  former_webhooks:                # where the gate stood before it had a namespace of its own, and what tls.processes changed
   {{- range list "deployment" "catalogue" }}
   - {repository: robotkube/{{ . }}, url: "http://{{ include "robotkube.host" (dict "root" $ "name" "gate") }}:8080/webhook"}
+  {{- end }}
+  {{- range $otherwise }}
+  - {repository: {{ .repository }}, url: {{ .url | quote }}}
   {{- end }}
 {{- end }}
 {{- if ne .Values.database.kind "external" }}
@@ -169,7 +182,7 @@ argocd:
 {{- end }}
 
 {{- define "robotkube.suiteRunnerSettings" -}}
-listen: {address: 0.0.0.0, port: 8080, health_port: 8081}
+{{ include "robotkube.listen" . }}
 log_level: {{ .Values.logLevel }}
 forge:
   url: {{ include "robotkube.forgeUrl" . }}

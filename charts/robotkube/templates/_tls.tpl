@@ -1,7 +1,7 @@
-{{- /* TLS: who makes the certificates of broker, database and forge, and how everybody else knows them. */ -}}
+{{- /* TLS: who makes the certificates of broker, database, forge and processes, and how everybody else knows them. */ -}}
 {{- /* The values of tls, also when an upgrade reuses values from before there were any. YAML. */ -}}
 {{- define "robotkube.tls" -}}
-{{- $tls := dict "mode" "made" "plain" false "hours" 2160 "names" list "authorities" "" "provided" (dict "secret" "" "database" "" "forge" "") }}
+{{- $tls := dict "mode" "made" "plain" false "processes" false "hours" 2160 "names" list "authorities" "" "provided" (dict "secret" "" "database" "" "forge" "" "processes" dict) }}
 {{- $_ := set $tls "issuer" (dict "name" "" "kind" "Issuer" "group" "cert-manager.io") }}
 {{- range $key, $value := .Values.tls | default dict }}
 {{- if kindIs "map" $value }}{{ $value = merge (deepCopy $value) (get $tls $key) }}{{ end }}
@@ -41,6 +41,50 @@
 {{- if and (eq .Values.forge.kind "gitea") (eq (toString .Values.forge.tls) "true") }}{{ include "robotkube.encrypted" . }}{{ end -}}
 {{- end }}
 
+{{- /* "true" when gate, managers, rights, admission and suite-runner speak HTTPS, else empty. */ -}}
+{{- define "robotkube.processesEncrypted" -}}
+{{- if (include "robotkube.tls" . | fromYaml).processes }}{{ include "robotkube.encrypted" . }}{{ end -}}
+{{- end }}
+
+{{- /* How they are asked. */ -}}
+{{- define "robotkube.processScheme" -}}
+{{ include "robotkube.processesEncrypted" . | eq "true" | ternary "https" "http" }}
+{{- end }}
+
+{{- /* Those that are installed, as a list of {name, namespace}, each by the name of its Service. JSON. */ -}}
+{{- define "robotkube.servingProcesses" -}}
+{{- $found := list (dict "name" "gate" "namespace" (include "robotkube.gateNamespace" .)) }}
+{{- range $name := concat (splitList " " (include "robotkube.managerNames" .)) ((include "robotkube.rights" . | fromYaml).enabled | ternary (list "rights") list) (.Values.admission.enabled | ternary (list "admission") list) (.Values.suites.enabled | ternary (list "suite-runner") list) }}
+{{- $found = append $found (dict "name" $name "namespace" $.Release.Namespace) }}
+{{- end }}
+{{- toJson $found }}
+{{- end }}
+
+{{- /* The Secret with the certificate and key of one. Arguments: {root, name}. */ -}}
+{{- define "robotkube.processCertificate" -}}
+{{- $tls := include "robotkube.tls" .root | fromYaml -}}
+{{ eq $tls.mode "provided" | ternary (get $tls.provided.processes .name) (printf "%s-tls" .name) }}
+{{- end }}
+
+{{- /* The same among the files of its pod, which so waits until there is a certificate. Arguments: as above. */ -}}
+{{- define "robotkube.certificateFiles" -}}
+{{- if include "robotkube.processesEncrypted" .root -}}
+- secret: {name: {{ include "robotkube.processCertificate" . }}, items: [{key: tls.crt, path: certificate/tls.crt}, {key: tls.key, path: certificate/tls.key}]}
+{{- end }}
+{{- end }}
+
+{{- /* Where such a process listens, in its settings. */ -}}
+{{- define "robotkube.listen" -}}
+listen: {address: 0.0.0.0, port: 8080, health_port: 8081{{ if include "robotkube.processesEncrypted" . }}, certificate: /var/run/secrets/robotkube/certificate{{ end }}}
+{{- end }}
+
+{{- /* Who may have signed the certificates of such processes, in the settings of one that asks them. */ -}}
+{{- define "robotkube.processAuthorities" -}}
+{{- if include "robotkube.processesEncrypted" . -}}
+authorities: /etc/robotkube/authorities/ca.crt
+{{- end }}
+{{- end }}
+
 {{- /* "true" when certificates are made here, by the process `certificates`, else empty. */ -}}
 {{- define "robotkube.certificatesMade" -}}
 {{- if and (eq .Values.broker.kind "mosquitto") (eq (include "robotkube.tls" . | fromYaml).mode "made") }}true{{ end -}}
@@ -68,6 +112,11 @@
        clients elsewhere reach them; for the forge also those of its own pod, at which its hooks and whoever forwards a port ask. JSON. */ -}}
 {{- define "robotkube.certified" -}}
 {{- $certified := dict "broker" (concat (include "robotkube.serviceNames" (dict "root" . "name" "broker") | fromJsonArray) (include "robotkube.tls" . | fromYaml).names | uniq) }}
+{{- if include "robotkube.processesEncrypted" . }}
+{{- range include "robotkube.servingProcesses" . | fromJsonArray }}
+{{- $_ := set $certified .name (include "robotkube.serviceNames" (dict "root" $ "name" .name "namespace" .namespace) | fromJsonArray) }}
+{{- end }}
+{{- end }}
 {{- if ne .Values.database.kind "external" }}
 {{- $_ := set $certified "database" (include "robotkube.serviceNames" (dict "root" . "name" "database") | fromJsonArray) }}
 {{- end }}
@@ -77,9 +126,14 @@
 {{- toJson $certified }}
 {{- end }}
 
-{{- /* The names of a Service, the longest first. Arguments: {root, name}. JSON. */ -}}
+{{- /* The namespace of one of them: that of the pod that mounts its Secret. Arguments: {root, component}. */ -}}
+{{- define "robotkube.certifiedNamespace" -}}
+{{ eq .component "gate" | ternary (include "robotkube.gateNamespace" .root) .root.Release.Namespace }}
+{{- end }}
+
+{{- /* The names of a Service, the longest first. Arguments: {root, name} and, optional, namespace. JSON. */ -}}
 {{- define "robotkube.serviceNames" -}}
-{{- $short := printf "%s.%s" .name .root.Release.Namespace -}}
+{{- $short := printf "%s.%s" .name (.namespace | default .root.Release.Namespace) -}}
 {{ list (include "robotkube.host" .) (printf "%s.svc" $short) $short .name | toJson }}
 {{- end }}
 
@@ -107,7 +161,7 @@ authorities: /etc/robotkube/authorities/ca.crt
 {{- end }}
 {{- end }}
 
-{{- /* Volume and mount of those who may have signed certificates of broker, database and forge: a pod waits until they are known. */ -}}
+{{- /* Volume and mount of those who may have signed certificates: a pod waits until they are known. */ -}}
 {{- define "robotkube.authoritiesVolume" -}}
 {{- if include "robotkube.encrypted" . -}}
 - {name: authorities, configMap: {name: robotkube-ca, items: [{key: ca.crt, path: ca.crt}]}}
@@ -120,6 +174,15 @@ authorities: /etc/robotkube/authorities/ca.crt
 {{- end }}
 {{- end }}
 
+{{- /* The same where the forge and processes are asked. */ -}}
+{{- define "robotkube.httpAuthoritiesVolume" -}}
+{{- if or (include "robotkube.forgeEncrypted" .) (include "robotkube.processesEncrypted" .) }}{{ include "robotkube.authoritiesVolume" . }}{{ end }}
+{{- end }}
+
+{{- define "robotkube.httpAuthoritiesMount" -}}
+{{- if or (include "robotkube.forgeEncrypted" .) (include "robotkube.processesEncrypted" .) }}{{ include "robotkube.authoritiesMount" . }}{{ end }}
+{{- end }}
+
 {{- /* The same where the forge alone is asked. */ -}}
 {{- define "robotkube.forgeAuthoritiesVolume" -}}
 {{- if include "robotkube.forgeEncrypted" . }}{{ include "robotkube.authoritiesVolume" . }}{{ end }}
@@ -129,10 +192,10 @@ authorities: /etc/robotkube/authorities/ca.crt
 {{- if include "robotkube.forgeEncrypted" . }}{{ include "robotkube.authoritiesMount" . }}{{ end }}
 {{- end }}
 
-{{- /* The namespaces in which somebody connects to broker, database or forge. JSON. */ -}}
+{{- /* The namespaces in which somebody connects to broker, database, forge or a process. JSON. */ -}}
 {{- define "robotkube.connecting" -}}
 {{- $namespaces := list .Release.Namespace }}
-{{- if include "robotkube.forgeEncrypted" . }}{{ $namespaces = append $namespaces (include "robotkube.gateNamespace" .) }}{{ end }}
+{{- if or (include "robotkube.forgeEncrypted" .) (include "robotkube.processesEncrypted" .) }}{{ $namespaces = append $namespaces (include "robotkube.gateNamespace" .) }}{{ end }}
 {{- range .Values.agents }}{{ $namespaces = append $namespaces .name }}{{ end -}}
 {{ toJson $namespaces }}
 {{- end }}
@@ -228,7 +291,8 @@ namespace: {{ .Release.Namespace }}
 authority: {secret: tls-authority}
 certificates:
 {{- range $component, $names := include "robotkube.certified" . | fromJson }}
-- {secret: {{ $component }}-tls, names: {{ toJson $names }}, life_seconds: {{ mul (int $tls.hours) 3600 }}{{ if eq $component "forge" }}, service: forge{{ end }}}
+{{- $namespace := include "robotkube.certifiedNamespace" (dict "root" $ "component" $component) }}
+- {secret: {{ $component }}-tls, names: {{ toJson $names }}, life_seconds: {{ mul (int $tls.hours) 3600 }}{{ if eq $component "forge" }}, service: forge{{ end }}{{ if ne $namespace $.Release.Namespace }}, namespace: {{ $namespace }}{{ end }}}
 {{- end }}
 trusted: {config_map: robotkube-ca, namespaces: {{ include "robotkube.connecting" . }}}
 {{- end }}
@@ -262,6 +326,23 @@ trusted: {config_map: robotkube-ca, namespaces: {{ include "robotkube.connecting
 {{- end }}
 {{- if and $tls.provided.forge (or (ne $tls.mode "provided") (not (include "robotkube.forgeEncrypted" .))) }}
 {{ printf "tls.provided.forge is given, but tls.mode is %s, forge.kind %s and forge.tls %v: nobody mounts it. Leave it out, or set tls.mode: provided and forge.tls: true." $tls.mode .Values.forge.kind .Values.forge.tls }}
+{{- end }}
+{{- $processes := include "robotkube.processesEncrypted" . }}
+{{- $serving := list }}{{ range include "robotkube.servingProcesses" . | fromJsonArray }}{{ $serving = append $serving .name }}{{ end }}
+{{- if and $processes (eq $tls.mode "provided") }}
+{{- range include "robotkube.servingProcesses" . | fromJsonArray }}{{ if not (get $tls.provided.processes .name) }}
+{{ printf "tls.processes is true, but tls.provided.processes names no Secret for %s. Name the one in namespace %s that has its tls.crt and tls.key, for the name %s." .name .namespace (include "robotkube.host" (dict "root" $ "name" .name "namespace" .namespace)) }}
+{{- end }}{{ end }}
+{{- end }}
+{{- range $name, $_ := $tls.provided.processes }}
+{{- if or (not $processes) (ne $tls.mode "provided") }}
+{{ printf "tls.provided.processes names a Secret for %s, but tls.mode is %s and tls.processes %v: nobody mounts it. Leave it out, or set tls.mode: provided and tls.processes: true." $name $tls.mode $tls.processes }}
+{{- else if not (has $name $serving) }}
+{{ printf "tls.provided.processes names a Secret for %s, which is no process that serves here. Name some of %s." $name (join ", " $serving) }}
+{{- end }}
+{{- end }}
+{{- if and $processes (eq $tls.mode "cert-manager") (eq $tls.issuer.kind "Issuer") (eq $tls.issuer.group "cert-manager.io") }}
+{{ printf "tls.processes is true, but tls.issuer.kind is Issuer, which signs in the platform's namespace alone, and the gate stands in %s. Name a ClusterIssuer, or take tls.processes out." (include "robotkube.gateNamespace" .) }}
 {{- end }}
 {{- if and .Values.forge.names (not (include "robotkube.forgeEncrypted" .)) }}
 {{ print "forge.names is given, but the forge has no certificate here: tls.mode is \"off\", forge.tls false or forge.kind external. Leave it out." }}

@@ -33,10 +33,14 @@ from tests.stages.secret_words import words
 
 pytestmark = pytest.mark.toolchain
 
-PROFILE = Path(__file__).parent / "profiles" / "official.yaml"
+VALUES = [
+    option
+    for name in ("official", "processes")
+    for option in ("-f", str(Path(__file__).parent / f"profiles/{name}.yaml"))
+]
 ACCOUNT = "system:serviceaccount:robotkube:certificates"
 AGENTS = ("vehicle-00", "vehicle-01", "cloud-0")
-SERVERS = ("broker", "database", "forge")
+SERVERS = ("broker", "database", "forge", "gate", "manager", "rights", "suite-runner")
 
 
 @dataclass
@@ -66,7 +70,8 @@ class Installed:
         return dict(answer.get("data") or {})
 
     def secret(self, name: str) -> dict[str, str]:
-        return {key: base64.b64decode(value).decode() for key, value in self.read("robotkube", "secrets", name).items()}
+        found = self.read(namespace_of(name), "secrets", name)
+        return {key: base64.b64decode(value).decode() for key, value in found.items()}
 
     def trusted(self) -> set[str]:
         found = [self.read(place, "configmaps", "robotkube-ca") for place in ("robotkube", "robotkube-gate", *AGENTS)]
@@ -74,16 +79,21 @@ class Installed:
 
     def empty(self) -> None:
         """As the chart made them."""
-        for path in ("secrets/tls-authority", *(f"secrets/{server}-tls" for server in SERVERS)):
+        for name in ("tls-authority", *(f"{server}-tls" for server in SERVERS)):
             merge = {"Content-Type": "application/merge-patch+json"}
-            body = '{"data": null}'
-            self.administrator.patch(f"/api/v1/namespaces/robotkube/{path}", content=body, headers=merge)
+            path = f"/api/v1/namespaces/{namespace_of(name)}/secrets/{name}"
+            self.administrator.patch(path, content='{"data": null}', headers=merge)
+
+
+def namespace_of(name: str) -> str:
+    """Of the Secret with this name."""
+    return "robotkube-gate" if name == "gate-tls" else "robotkube"
 
 
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Installed]:
     with prepared_cluster(tmp_path_factory.mktemp("api")) as cluster:
-        cluster.helm("install", "robotkube", str(CHART), "-f", str(PROFILE), "--no-hooks")
+        cluster.helm("install", "robotkube", str(CHART), *VALUES, "--no-hooks")
         environment = {**os.environ, "KUBECONFIG": str(cluster.kubeconfig), "HOME": str(cluster.kubeconfig.parent)}
         command = [program("kubectl"), "proxy", "--port=0", f"--as={ACCOUNT}"]
         proxy = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
@@ -114,9 +124,8 @@ def test_each_server_has_a_certificate_that_every_agent_verifies(stage: Installe
     (tmp_path / "ca.crt").write_text(authority)
     shown = stage.secret(f"{name}-tls")
     server = server_context(tmp_path / "server", Pair(shown["tls.crt"], shown["tls.key"]))
-    assert (
-        handshake(server, ServerVerification(tmp_path / "ca.crt", f"{name}.robotkube.svc.cluster.local")) == "TLSv1.3"
-    )
+    host = f"{name}.{namespace_of(f'{name}-tls')}.svc.cluster.local"
+    assert handshake(server, ServerVerification(tmp_path / "ca.crt", host)) == "TLSv1.3"
     assert not any("PRIVATE" in text for text in stage.trusted())
 
 
@@ -125,7 +134,7 @@ def test_upgrades_and_restarts_keep_both_and_a_renewal_the_authority(stage: Inst
     stage.kept()
     authority, shown = stage.secret("tls-authority"), stage.secret("broker-tls")
     for options in ((), ("--set", "logLevel=debug")):
-        stage.cluster.helm("upgrade", "robotkube", str(CHART), "-f", str(PROFILE), "--no-hooks", *options)
+        stage.cluster.helm("upgrade", "robotkube", str(CHART), *VALUES, "--no-hooks", *options)
         stage.kept()
         assert (stage.secret("tls-authority"), stage.secret("broker-tls")) == (authority, shown)
         assert stage.trusted() == {authority["tls.crt"]}
@@ -137,7 +146,7 @@ def test_upgrades_and_restarts_keep_both_and_a_renewal_the_authority(stage: Inst
 
 def test_no_key_stands_in_a_release_of_helms_or_in_another_secret(stage: Installed) -> None:
     stage.kept()
-    stage.cluster.helm("upgrade", "robotkube", str(CHART), "-f", str(PROFILE), "--no-hooks")
+    stage.cluster.helm("upgrade", "robotkube", str(CHART), *VALUES, "--no-hooks")
     items = stage.administrator.get("/api/v1/secrets").raise_for_status().json()["items"]
     for name in ("tls-authority", *(f"{server}-tls" for server in SERVERS)):
         body = stage.secret(name)["tls.key"].splitlines()[1]

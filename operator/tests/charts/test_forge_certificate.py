@@ -175,14 +175,24 @@ class Stage:
         return GitClone(url or self.forge.url, DEPLOYMENT, *self.account(), folder)
 
 
+def hearing(folder: Path, authority: Pair, heard: list[WebhookDelivery]) -> WebServer:
+    """A process that the forge calls by HTTPS, with a certificate of this authority."""
+    pair = issue(authority, ["localhost"], time.time(), 3600)
+    (folder / "tls.crt").write_text(pair.certificate)
+    (folder / "tls.key").write_text(pair.key)
+    server = WebServer("127.0.0.1", 0, list, str, WEBHOOK_SECRET.encode(), heard.append, certificate=folder)
+    server.start()
+    return server
+
+
 @pytest.fixture(scope="module")
 def stage(helm: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
     forge = EncryptedForge(
-        tmp_path_factory.mktemp("forge") / "pod", helm.template(PLATFORM, *EMBEDDED, forge={"tls": True})
+        tmp_path_factory.mktemp("forge") / "pod",
+        helm.template(PLATFORM, *EMBEDDED, forge={"tls": True}, tls={"processes": True}),
     )
     heard: list[WebhookDelivery] = []
-    server = WebServer("127.0.0.1", 0, list, str, WEBHOOK_SECRET.encode(), heard.append)
-    server.start()
+    server = hearing(tmp_path_factory.mktemp("gate"), forge.authority, heard)
     with pytest.MonkeyPatch.context() as patching:
         patching.setattr(certificate_authorities, "_trusted", {})
         try:
@@ -191,7 +201,7 @@ def stage(helm: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage
             administration = GiteaAdministration(forge.url, *forge.administrator())
             passwords = {name: secrets.token_hex(12) for name in ACCOUNTS}
             port = server.ports["port"]
-            setup = forge_setup(passwords, f"http://127.0.0.1:{port}/webhook")
+            setup = forge_setup(passwords, f"https://localhost:{port}/webhook")
             Bootstrap(60, time.monotonic, time.sleep).forge(setup, administration)
             administration.disconnect()
             made = Installation(forge.url, passwords, port, tmp_path_factory.mktemp("clones"), setup)
@@ -214,15 +224,39 @@ def complaint(attempt: Callable[[], object]) -> str:
     return str(error.value)
 
 
-def test_git_by_tls_with_the_hooks_and_webhooks_behind_it(stage: Stage, tmp_path: Path) -> None:
-    gate, manager = stage.clone(tmp_path / "gate"), stage.installation.clone("manager")
+def merge(stage: Stage, gate: GitClone, release: str) -> None:
+    """Have a release proposed and merged."""
+    manager = stage.installation.clone("manager")
     tip = gate.fetch()
-    commit = manager.commit({"releases/a": "b\n"}, "one", [manager.tip()])
-    number = stage.installation.propose(manager, commit, "one")  # by AGit: its hooks ask the forge
+    commit = manager.commit({f"releases/{release}": "b\n"}, release, [manager.tip()])
+    number = stage.installation.propose(manager, commit, release)  # by AGit: its hooks ask the forge
     assert gate.proposal(number).id == commit
     assert gate.push_main(commit)
     assert gate.fetch() == commit != tip
+
+
+def test_git_by_tls_with_the_hooks_and_webhooks_behind_it(stage: Stage, tmp_path: Path) -> None:
+    merge(stage, stage.clone(tmp_path / "gate"), "one")
     until(lambda: any(one.event == "push" for one in stage.heard), "the webhook")
+
+
+def test_a_webhook_is_not_sent_to_whom_another_authority_signed_for(stage: Stage, tmp_path: Path) -> None:
+    heard: list[WebhookDelivery] = []
+    server = hearing(tmp_path, new_authority("another", time.time()), heard)
+    url = f"https://localhost:{server.port}/webhook"
+    administration = GiteaAdministration(stage.forge.url, *stage.forge.administrator())
+    try:
+        administration.make_webhook(DEPLOYMENT, url, ["push"], WEBHOOK_SECRET)
+        known = len(stage.heard)
+        merge(stage, stage.clone(tmp_path / "gate"), "two")
+        until(lambda: len(stage.heard) > known, "the webhook to whom the forge believes")
+        refused = "x509: certificate signed by unknown authority"
+        until(lambda: refused in (stage.forge.folder / "log").read_text(), "the refusal in the forge's log")
+        assert heard == []
+    finally:
+        administration.remove_webhook(DEPLOYMENT, url)
+        administration.disconnect()
+        server.stop()
 
 
 def test_charts_are_pushed_and_pulled_by_tls(stage: Stage) -> None:

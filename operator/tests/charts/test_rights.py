@@ -35,7 +35,7 @@ from tests.stages.waiting import until
 
 pytestmark = pytest.mark.toolchain  # a server of its own
 PROFILES = Path(__file__).parent / "profiles"
-INSTALLED = ("official", "managers", "admission", "writers")
+INSTALLED = ("official", "managers", "admission", "processes", "writers")
 Rights = dict[str, str]
 
 READ = "get list watch"
@@ -108,7 +108,8 @@ GENERATING = {
 POLICIES = [f"validatingadmission{kind}.admissionregistration.k8s.io" for kind in ("policies", "policybindings")]
 PUBLISHING = {"configmaps": "create", "configmaps gate-public-key": "get patch"}
 TRUSTED = {"configmaps robotkube-ca": "get patch"}
-CERTIFICATES = [f"secrets {name}" for name in ("tls-authority", "broker-tls", "database-tls", "forge-tls")]
+SERVING = ("broker", "database", "forge", "manager", "manager-north", "rights", "admission", "suite-runner")
+CERTIFICATES = ["secrets tls-authority", *(f"secrets {name}-tls" for name in SERVING)]
 AGENTS = ("vehicle-00", "vehicle-01", "cloud-0")
 NAMESPACES = ("robotkube", "robotkube-gate", "argocd", "default", *AGENTS, "robotkube-suite-0")
 # account -> namespace -> what it may do there; what it may do everywhere stands under "*"
@@ -156,7 +157,7 @@ EXACTLY: dict[str, dict[str, Rights]] = {
     },
     "robotkube:certificates": {
         **dict.fromkeys(AGENTS, TRUSTED),
-        "robotkube-gate": TRUSTED,
+        "robotkube-gate": {**TRUSTED, "secrets gate-tls": "get patch"},
         "robotkube": {**TRUSTED, **dict.fromkeys(CERTIFICATES, "get patch"), "services forge": "get"},
     },
     "robotkube:default": {},

@@ -291,7 +291,7 @@ def test_the_forge_speaks_http_where_nothing_else_is_asked_for(helm: Any, values
 
 
 def test_what_cert_manager_is_asked_for(helm: Any, golden: Callable[[str, str], None]) -> None:
-    rendered = helm.template(PLATFORM, OFFICIAL, PROFILES / "cert-manager.yaml")
+    rendered = helm.template(PLATFORM, OFFICIAL, PROFILES / "processes.yaml", PROFILES / "cert-manager.yaml")
     assert not names(rendered) & OURS
     asked = {one["metadata"]["name"]: one for one in rendered.of_kind("Certificate")}
     for name, workload in (

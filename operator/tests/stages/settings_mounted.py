@@ -16,6 +16,7 @@ GATE = "robotkube-gate"
 JOBS = ("bootstrap", "teardown", "installation-test", "gate-key")
 MADE = {"gate-public-key": {"gate-a050837d85070582.pem": PUBLIC}, "robotkube-ca": {"ca.crt": ""}}  # by processes
 KEY_SECRETS = ("gate-key", "kept-gate-key")  # made by the Job, given by a person
+CERTIFICATE = {"tls.crt": "a certificate", "tls.key": "its key"}  # made by the process `certificates`, or given
 
 
 def pod_of(rendered: Any, process: str) -> Mapping[str, Any]:
@@ -52,7 +53,11 @@ def _files(rendered: Any, source: Mapping[str, Any], namespace: str | None) -> I
         yield from data.items()
         return
     name = source["secret"]["name"]
-    data = {"key.pem": KEY} if name in KEY_SECRETS else rendered.one("Secret", name, namespace)["stringData"]
+    keys = [item["key"] for item in source["secret"]["items"]]
+    if keys == list(CERTIFICATE):
+        data = CERTIFICATE
+    else:
+        data = {"key.pem": KEY} if name in KEY_SECRETS else rendered.one("Secret", name, namespace)["stringData"]
     yield from ((item["path"], data[item["key"]]) for item in source["secret"]["items"])
 
 

@@ -7,6 +7,7 @@ from typing import Any
 EXTERNAL = {"kind": "external", "external": {"host": "mqtt.example", "port": 8883}}
 AUTHORITY = "-----BEGIN CERTIFICATE-----\nMIIB\n-----END CERTIFICATE-----\n"
 PROVIDED = {"secret": "mine", "database": "mine", "forge": "mine"}
+PROCESSES = dict.fromkeys(("gate", "manager", "rights", "suite-runner"), "mine")
 
 TLS_REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
     "certificates made for a broker of somebody else": (
@@ -66,6 +67,38 @@ TLS_REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
     "a Secret of the forge that nobody mounts": (
         {"tls": {"provided": {"forge": "mine"}}},
         "tls.provided.forge is given, but tls.mode is made, forge.kind gitea and forge.tls true: nobody mounts it.",
+    ),
+    "a provided certificate of all but one process": (
+        {
+            "tls": {
+                "mode": "provided",
+                "processes": True,
+                "provided": {**PROVIDED, "processes": {name: "mine" for name in PROCESSES if name != "gate"}},
+                "authorities": AUTHORITY,
+            }
+        },
+        "tls.processes is true, but tls.provided.processes names no Secret for gate. Name the one in namespace "
+        "robotkube-gate that has its tls.crt and tls.key, for the name gate.robotkube-gate.svc.cluster.local.",
+    ),
+    "a Secret of a process that nobody mounts": (
+        {"tls": {"processes": True, "provided": {"processes": {"gate": "mine"}}}},
+        "tls.provided.processes names a Secret for gate, but tls.mode is made and tls.processes true: nobody mounts",
+    ),
+    "a Secret of a process that does not serve": (
+        {
+            "tls": {
+                "mode": "provided",
+                "processes": True,
+                "provided": {**PROVIDED, "processes": {**PROCESSES, "inspector": "mine"}},
+                "authorities": AUTHORITY,
+            }
+        },
+        "tls.provided.processes names a Secret for inspector, which is no process that serves here. Name some of",
+    ),
+    "an Issuer that does not sign where the gate is": (
+        {"tls": {"mode": "cert-manager", "processes": True, "authorities": AUTHORITY, "issuer": {"name": "ours"}}},
+        "tls.processes is true, but tls.issuer.kind is Issuer, which signs in the platform's namespace alone, and the "
+        "gate stands in robotkube-gate. Name a ClusterIssuer, or take tls.processes out.",
     ),
     "names of a forge without a certificate": (
         {"forge": {"tls": False, "names": ["git.example"]}},

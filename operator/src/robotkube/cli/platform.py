@@ -181,7 +181,7 @@ class Platform:
         return accounts
 
     def authorities(self) -> str:
-        """Who may have signed the certificates of broker, database and forge, as PEM; empty when there is none."""
+        """Who may have signed the certificates of the platform's servers, as PEM; empty when there is none."""
         return str((self._config_map(AUTHORITIES).get("data") or {}).get("ca.crt", ""))
 
     def address(self, service: str) -> tuple[str, int]:

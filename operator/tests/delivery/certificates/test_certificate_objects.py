@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from robotkube.delivery.certificates.adapters.certificate_objects import KubernetesCertificates
+from robotkube.delivery.certificates.core.issuance import ServerCertificate
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.certificates.core.lives import Pair
 from tests.delivery.certificates.test_keeper import ISSUANCE
@@ -37,6 +39,17 @@ class Api:
             return 200, self.objects[path]
         self.patches.append((path, body, content_type))
         return (409, {}) if self.conflict else (200, {})
+
+
+def test_a_certificate_stands_where_it_is_mounted(api: Api) -> None:
+    path = "/api/v1/namespaces/robotkube-gate/secrets/gate-tls"
+    api.objects[path] = {"metadata": {}}
+    gate = ServerCertificate("gate-tls", ("gate",), 60.0, namespace="robotkube-gate")
+    objects = KubernetesCertificates(api, replace(ISSUANCE, certificates=(*ISSUANCE.certificates, gate)))
+    assert objects.certificate("gate-tls") is None
+    objects.put_certificate("gate-tls", Pair("c", "k"))
+    assert objects.certificate("broker-tls") is None
+    assert [patched for patched, _, _ in api.patches] == [path]
 
 
 def data(**files: str) -> Mapping[str, Any]:

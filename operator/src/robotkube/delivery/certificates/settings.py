@@ -53,7 +53,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> Certifica
 
 
 def _certificate(reader: Reader, value: Any, path: str) -> ServerCertificate:
-    certificate = reader.mapping(value, path, ["secret", "names", "life_seconds"], ["service"])
+    certificate = reader.mapping(value, path, ["secret", "names", "life_seconds"], ["service", "namespace"])
     names = reader.sequence(certificate.get("names"), f"{path}.names")
     if not names:
         reader.problems.append(f"{path}.names: must name the server")
@@ -62,6 +62,7 @@ def _certificate(reader: Reader, value: Any, path: str) -> ServerCertificate:
         names=tuple(_name(reader, name, f"{path}.names[{i}]") for i, name in enumerate(names)),
         seconds=float(_life(reader, certificate.get("life_seconds"), f"{path}.life_seconds")),
         service=reader.word(certificate.get("service"), f"{path}.service", NAME, default=""),
+        namespace=reader.word(certificate.get("namespace"), f"{path}.namespace", NAME, default=""),
     )
 
 

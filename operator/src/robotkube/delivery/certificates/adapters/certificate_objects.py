@@ -1,5 +1,6 @@
-"""The port CertificateObjects through the API server: Secrets by name in the platform's namespace, and a ConfigMap by
-name in each namespace. The chart makes them, empty; this fills them, and needs no right to make any."""
+"""The port CertificateObjects through the API server: Secrets by name in the platform's namespace or that of who mounts
+them, and a ConfigMap by name in each namespace. The chart makes them, empty; this fills them, and needs no right to
+make any."""
 
 from __future__ import annotations
 
@@ -34,6 +35,7 @@ class KubernetesCertificates:
     def __init__(self, api: RequestingApi, issuance: Issuance) -> None:
         self._api = api
         self._issuance = issuance
+        self._namespaces = {one.secret: one.namespace for one in issuance.certificates if one.namespace}
         self._version = ""
 
     def authority(self) -> Pair | None:
@@ -81,7 +83,8 @@ class KubernetesCertificates:
         self._patch(self._config_map(namespace), self._about(namespace), {"data": {AUTHORITY: certificate}})
 
     def _secret(self, name: str) -> str:
-        return f"/api/v1/namespaces/{quote(self._issuance.platform)}/secrets/{quote(name)}"
+        namespace = self._namespaces.get(name, self._issuance.platform)
+        return f"/api/v1/namespaces/{quote(namespace)}/secrets/{quote(name)}"
 
     def _config_map(self, namespace: str) -> str:
         return config_map_path(namespace, self._issuance.trusted)

@@ -8,18 +8,19 @@ from dataclasses import dataclass
 @dataclass(frozen=True)
 class ServerCertificate:
     """The certificate of one server in the Secret `secret`, for `names` and `seconds`; with `service`, also for the
-    addresses that this Service has in the cluster."""
+    addresses that this Service has in the cluster. The Secret stands in `namespace`, or empty: in the platform's."""
 
     secret: str
     names: tuple[str, ...]
     seconds: float
     service: str = ""
+    namespace: str = ""
 
 
 @dataclass(frozen=True)
 class Issuance:
-    """The certificates of servers, each in a Secret of namespace `platform`; their authority in Secret `authority`
-    there, and what is public of that in ConfigMap `trusted` of all `namespaces`."""
+    """The certificates of servers, each in a Secret with a name of its own; their authority in Secret `authority` of
+    namespace `platform`, and what is public of that in ConfigMap `trusted` of all `namespaces`."""
 
     platform: str
     authority: str

@@ -1,0 +1,282 @@
+"""The platform's own processes by HTTPS, as the chart renders them for each `tls.mode`: who serves has a certificate
+for the name by which he is asked, and who asks knows who may have signed it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+import yaml
+
+from robotkube.delivery.certificates.settings import read_configuration as read_certificates
+from robotkube.delivery.console.settings import read_configuration as read_console
+from robotkube.delivery.gate.__main__ import read_configuration as read_gate
+from robotkube.delivery.manager.__main__ import read_configuration as read_manager
+from robotkube.delivery.rights.settings import read_configuration as read_rights
+from robotkube.foundation.runtime.settings_file import read_settings
+from robotkube.registry.admission.__main__ import read_configuration as read_admission
+from robotkube.registry.suites.settings import read_configuration as read_suite_runner
+from robotkube.setup.bootstrap import read_configuration as read_bootstrap
+from tests.stages.paths import CHARTS
+from tests.stages.settings_mounted import mounted
+
+pytestmark = pytest.mark.toolchain
+
+PLATFORM = CHARTS / "robotkube"
+PROFILES = Path(__file__).parent / "profiles"
+OFFICIAL, PROCESSES = PROFILES / "official.yaml", PROFILES / "processes.yaml"
+AUTHORITY = "-----BEGIN CERTIFICATE-----\nMIIB\n-----END CERTIFICATE-----\n"
+SERVING = {
+    "gate": read_gate,
+    "manager": read_manager,
+    "manager-north": read_manager,
+    "rights": read_rights,
+    "admission": read_admission,
+    "suite-runner": read_suite_runner,
+}
+GIVEN = {name: f"{name}-given" for name in SERVING}
+PROVIDED: dict[str, Any] = {
+    "mode": "provided",
+    "provided": {"secret": "its", "database": "its", "forge": "its", "processes": GIVEN},
+    "authorities": AUTHORITY,
+}
+MODES: dict[str, dict[str, Any]] = {
+    "made": {},
+    "provided": {"tls": PROVIDED},
+    "cert-manager": {"tls": yaml.safe_load((PROFILES / "cert-manager.yaml").read_text(encoding="utf-8"))["tls"]},
+}
+ASKING = (
+    "Deployment/gate",
+    "Deployment/manager",
+    "Deployment/manager-north",
+    "Deployment/console",
+    "StatefulSet/forge",
+)
+AUTHORITIES = "/etc/robotkube/authorities"
+
+
+def namespace_of(process: str) -> str | None:
+    return "robotkube-gate" if process == "gate" else None
+
+
+@pytest.fixture(params=MODES)
+def mode(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture
+def encrypted(helm: Any, mode: str) -> Any:
+    """Two managers, and all that can serve."""
+    return rendered(helm, PROCESSES, **MODES[mode])
+
+
+def rendered(helm: Any, *profiles: Path, **values: Any) -> Any:
+    more = (PROFILES / "managers.yaml", PROFILES / "admission.yaml")
+    return helm.template(PLATFORM, OFFICIAL, *more, *profiles, **values)
+
+
+def settings(rendered: Any, process: str) -> Any:
+    return yaml.safe_load(rendered.one("ConfigMap", process, namespace_of(process))["data"]["config.yaml"])
+
+
+def asked(rendered: Any) -> Iterator[str]:
+    """Every address by which a process is asked."""
+    gate = settings(rendered, "gate")
+    yield gate["suites"]["url"]
+    yield from (one["webhook"] for one in gate["forge"]["proposers"])
+    yield from (settings(rendered, name)["gate"]["objects"] for name in ("manager", "manager-north"))
+    yield from (one["url"] for one in settings(rendered, "console")["managers"])
+    yield from (one["url"] for one in settings(rendered, "bootstrap")["forge"]["webhooks"])
+
+
+def port_names(rendered: Any, process: str) -> set[str]:
+    """Of the Service, what that leads to in the pod, and what is open there; its probes ask the other port."""
+    [port] = rendered.one("Service", process, namespace_of(process))["spec"]["ports"]
+    [container] = dict(rendered.pods)[f"Deployment/{process}"]["containers"]
+    [opened] = [one["name"] for one in container["ports"] if one["containerPort"] == port["port"]]
+    probes = {container[probe]["httpGet"]["port"] for probe in container if probe.endswith("Probe")}
+    assert probes == {"health"}
+    return {port["name"], port["targetPort"], opened}
+
+
+def certificate_of(rendered: Any, process: str) -> str | None:
+    """The Secret with its certificate, mounted where its settings say, without which the pod waits; None without."""
+    folder = settings(rendered, process)["listen"].get("certificate")
+    sources = [
+        source["secret"]
+        for volume in dict(rendered.pods)[f"Deployment/{process}"]["volumes"]
+        for source in volume.get("projected", {}).get("sources", [])
+        if "secret" in source and "tls.key" in str(source["secret"]["items"])
+    ]
+    assert len(sources) == (folder is not None)
+    if folder is None:
+        return None
+    assert folder == "/var/run/secrets/robotkube/certificate"
+    [source] = sources
+    assert {item["path"] for item in source["items"]} == {"certificate/tls.crt", "certificate/tls.key"}
+    assert not source.get("optional")
+    return str(source["name"])
+
+
+def mounts(rendered: Any, workload: str) -> set[str]:
+    pod = dict(rendered.pods)[workload]
+    [container] = pod["containers"]
+    found = {one["name"]: one["mountPath"] for one in container["volumeMounts"]}
+    assert found.keys() <= {one["name"] for one in pod["volumes"]}
+    return set(found.values())
+
+
+def test_everybody_is_asked_by_https_and_has_a_certificate_for_that_name(encrypted: Any, mode: str) -> None:
+    urls = [urlsplit(url) for url in asked(encrypted)]
+    assert {url.scheme for url in urls} == {"https"}
+    assert {str(url.hostname).partition(".")[0] for url in urls} == set(SERVING)
+    for process in SERVING:
+        assert port_names(encrypted, process) == {"https"}
+        name = GIVEN[process] if mode == "provided" else f"{process}-tls"
+        assert certificate_of(encrypted, process) == name
+    if mode != "provided":
+        certified = {name for names in certificates(encrypted, mode).values() for name in names}
+        assert {str(url.hostname) for url in urls} <= certified
+
+
+def certificates(rendered: Any, mode: str) -> Mapping[str, list[str]]:
+    """The names in each certificate, by the namespace and the name of its Secret."""
+    if mode == "cert-manager":
+        return {
+            f"{one['metadata'].get('namespace', 'robotkube')}/{one['spec']['secretName']}": one["spec"]["dnsNames"]
+            for one in rendered.of_kind("Certificate")
+        }
+    return {
+        f"{one.get('namespace', 'robotkube')}/{one['secret']}": one["names"]
+        for one in settings(rendered, "certificates")["certificates"]
+    }
+
+
+def test_a_certificate_is_made_where_it_is_mounted(encrypted: Any, mode: str) -> None:
+    if mode == "provided":
+        assert not [one for one in encrypted.of_kind("Secret", "Certificate") if one["metadata"]["name"] == "gate-tls"]
+        return
+    made = certificates(encrypted, mode)
+    assert made["robotkube-gate/gate-tls"][0] == "gate.robotkube-gate.svc.cluster.local"
+    for process in SERVING.keys() - {"gate"}:
+        assert made[f"robotkube/{process}-tls"][0] == f"{process}.robotkube.svc.cluster.local"
+    if mode == "made":
+        for process in SERVING:
+            assert "data" not in encrypted.one("Secret", f"{process}-tls", namespace_of(process))
+
+
+def test_who_asks_knows_who_may_have_signed(encrypted: Any, mode: str) -> None:
+    for process in ("gate", "manager", "manager-north", "console"):
+        assert settings(encrypted, process)["authorities"] == f"{AUTHORITIES}/ca.crt"
+    for workload in ASKING:
+        assert AUTHORITIES in mounts(encrypted, workload), workload
+    told = encrypted.one("ConfigMap", "robotkube-ca", "robotkube-gate")
+    assert told.get("data", {}) == ({} if mode == "made" else {"ca.crt": told.get("data", {}).get("ca.crt")})
+    [container] = dict(encrypted.pods)["StatefulSet/forge"]["containers"]
+    assert {"name": "SSL_CERT_DIR", "value": AUTHORITIES} in container["env"]
+
+
+def test_the_processes_read_what_the_chart_writes(encrypted: Any, tmp_path: Path) -> None:
+    for process, read in SERVING.items():
+        found: Any = read_settings(mounted(encrypted, process, tmp_path / process), read)
+        assert found.listen.certificate == tmp_path / process / "secrets" / "certificate"
+        assert (found.listen.certificate / "tls.key").is_file()
+    north = read_settings(mounted(encrypted, "manager-north", tmp_path / "north"), read_manager)
+    assert north.server_name == "manager-north.robotkube.svc.cluster.local"
+    assert north.authorities == tmp_path / "north" / "authorities" / "ca.crt"
+    console = read_settings(mounted(encrypted, "console", tmp_path / "console"), read_console)
+    assert console.authorities[0] == tmp_path / "console" / "authorities" / "ca.crt"
+
+
+def test_the_forge_of_http_and_one_of_somebody_else_leave_them_by_https(helm: Any) -> None:
+    plain = rendered(helm, PROCESSES, forge={"tls": False})
+    assert {urlsplit(url).scheme for url in asked(plain)} == {"https"}
+    assert "authorities" not in settings(plain, "gate")["forge"]
+    for workload in ASKING:
+        assert AUTHORITIES in mounts(plain, workload), workload
+    [container] = dict(plain.pods)["StatefulSet/forge"]["containers"]
+    assert {"name": "SSL_CERT_DIR", "value": AUTHORITIES} in container["env"]
+    external = {"kind": "external", "tls": False, "external": {"url": "https://git.example"}}
+    elsewhere = rendered(helm, PROCESSES, forge=external)
+    assert settings(elsewhere, "gate")["authorities"] == f"{AUTHORITIES}/ca.crt"
+    assert AUTHORITIES in mounts(elsewhere, "Deployment/gate")
+
+
+@pytest.mark.parametrize("values", [{}, {"tls": {"processes": True, "mode": "off"}}], ids=["by itself", "off"])
+def test_in_clear_text_nothing_is_different(helm: Any, values: dict[str, Any]) -> None:
+    plain = rendered(helm, **values)
+    assert {urlsplit(url).scheme for url in asked(plain)} == {"http"}
+    for process in SERVING:
+        assert (port_names(plain, process), certificate_of(plain, process)) == ({"http"}, None)
+    for process in ("gate", "manager", "console"):
+        assert "authorities" not in settings(plain, process)
+    assert "server_name" not in settings(plain, "manager")["lease"]
+    assert not [
+        one for one in plain.of_kind("Secret") if one["metadata"]["name"] in {f"{name}-tls" for name in SERVING}
+    ]
+
+
+@pytest.mark.parametrize(("profiles", "former"), [((PROCESSES,), "http"), ((), "https")], ids=["on", "off"])
+def test_webhooks_that_would_speak_otherwise_are_taken_away(
+    helm: Any, tmp_path: Path, profiles: tuple[Path, ...], former: str
+) -> None:
+    """Of before the value changed: the forge would go on calling them in vain."""
+    found = read_settings(mounted(rendered(helm, *profiles), "bootstrap", tmp_path), read_bootstrap)
+    assert found.forge is not None
+    today = {(one.repository, one.url) for one in found.forge.setup.webhooks}
+    gone = {(one.repository, one.url) for one in found.forge.setup.former_webhooks}
+    assert not today & gone
+    assert {(repository, url.replace("https:", "http:")) for repository, url in today} <= {
+        (repository, url.replace("https:", "http:")) for repository, url in gone if url.startswith(f"{former}:")
+    }
+
+
+def test_the_process_that_keeps_certificates_may_write_the_gates_and_nothing_else_there(helm: Any) -> None:
+    found = rendered(helm, PROCESSES)
+    rules = found.one("Role", "certificates", "robotkube-gate")["rules"]
+    assert [(rule["resources"], rule["resourceNames"], rule["verbs"]) for rule in rules] == [
+        (["configmaps"], ["robotkube-ca"], ["get", "patch"]),
+        (["secrets"], ["gate-tls"], ["get", "patch"]),
+    ]
+    [secrets] = [
+        rule["resourceNames"]
+        for rule in found.one("Role", "certificates", "robotkube")["rules"]
+        if rule["resources"] == ["secrets"]
+    ]
+    named = {"tls-authority", "broker-tls", "database-tls", "forge-tls", *(f"{name}-tls" for name in SERVING)}
+    assert set(secrets) == named - {"gate-tls"}
+
+
+def test_no_pod_mounts_the_key_of_another(helm: Any) -> None:
+    found = rendered(helm, PROCESSES)
+    for process in SERVING:
+        mounting = {name for name, pod in found.pods if f"'{process}-tls'" in str(pod["volumes"])}
+        assert mounting == {f"Deployment/{process}"}
+
+
+def test_the_process_reads_for_whom_to_make_certificates(helm: Any, tmp_path: Path) -> None:
+    issuance = read_settings(mounted(rendered(helm, PROCESSES), "certificates", tmp_path), read_certificates).issuance
+    named = {one.secret: one for one in issuance.certificates}
+    assert named["gate-tls"].namespace == "robotkube-gate"
+    assert named["manager-north-tls"].namespace == ""
+    assert "robotkube-gate" in issuance.namespaces
+
+
+def test_an_upgrade_that_reuses_values_of_before_leaves_them_as_they_are(helm: Any) -> None:
+    reused = rendered(helm, tls=None)
+    assert {urlsplit(url).scheme for url in asked(reused)} == {"http"}
+
+
+def test_what_is_rendered_is_what_was_kept(helm: Any, golden: Callable[[str, str], None]) -> None:
+    found = helm.template(PLATFORM, OFFICIAL, PROCESSES)
+    names = ("gate", "manager", "rights", "suite-runner")
+    kept = [found.one("Service", name, namespace_of(name)) for name in names]
+    kept += [found.one("Secret", f"{name}-tls", namespace_of(name)) for name in names]
+    kept += [found.one("Role", "certificates", place) for place in ("robotkube", "robotkube-gate")]
+    kept += [found.one("Deployment", "gate", "robotkube-gate"), found.one("StatefulSet", "forge")]
+    settings_of = (*names, "bootstrap", "certificates", "console")
+    kept += [found.one("ConfigMap", name, namespace_of(name)) for name in settings_of]
+    golden("processes", yaml.safe_dump_all(kept, sort_keys=False))
