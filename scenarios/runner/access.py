@@ -179,11 +179,9 @@ class Access:
         return self._proxied(f"/api/v1/namespaces/{namespace}/pods/{pod}:{port}/proxy/{path}")
 
     def service_json(self, name: str, path: str, port: int, namespace: str = PLATFORM) -> Any:
-        """GET of a Service's port by HTTP or HTTPS, as the port is named, through the API server."""
-        service = self._call(self.core.read_namespaced_service, f"service {namespace}/{name}", name, namespace)
-        encrypted = any(one.port == port and one.name == "https" for one in service.spec.ports)
-        named = f"{'https:' if encrypted else ''}{name}:{port}"
-        return self._proxied(f"/api/v1/namespaces/{namespace}/services/{named}/proxy/{path}")
+        """GET of a Service's only port, by HTTP or HTTPS as it is named, through the API server."""
+        scheme = "https:" if self.endpoint(name, namespace).encrypted else ""
+        return self._proxied(f"/api/v1/namespaces/{namespace}/services/{scheme}{name}:{port}/proxy/{path}")
 
     def bind(self, namespace: str, volume_claim: str) -> None:
         """Gives a volume claim that no pod has used yet a free volume of its agent's node, so that it can be filled.

@@ -144,6 +144,19 @@ def test_upgrades_and_restarts_keep_both_and_a_renewal_the_authority(stage: Inst
     assert stage.secret("tls-authority") == authority
 
 
+@pytest.mark.thorough
+def test_processes_change_to_http_and_back_by_upgrades(stage: Installed) -> None:
+    """The API server takes both, and the gate has the certificate again that it had."""
+    stage.kept()
+    shown = stage.secret("gate-tls")
+    for options, name in ((("--set", "tls.processes=false"), "http"), ((), "https")):
+        stage.cluster.helm("upgrade", "robotkube", str(CHART), *VALUES, "--no-hooks", *options)
+        service = stage.administrator.get("/api/v1/namespaces/robotkube-gate/services/gate").raise_for_status().json()
+        assert [(port["name"], port["port"]) for port in service["spec"]["ports"]] == [(name, 8080)]
+        assert stage.secret("gate-tls") == shown
+    stage.kept()
+
+
 def test_no_key_stands_in_a_release_of_helms_or_in_another_secret(stage: Installed) -> None:
     stage.kept()
     stage.cluster.helm("upgrade", "robotkube", str(CHART), *VALUES, "--no-hooks")

@@ -34,6 +34,7 @@ from robotkube.registry.charts.core.packing import PackedChart, pack_chart
 from robotkube.setup.adapters.gitea_administration import GiteaAdministration
 from robotkube.setup.loops.bootstrap import Bootstrap
 from tests.stages.forge.installation import ACCOUNTS, WEBHOOK_SECRET, Installation, forge_setup
+from tests.stages.handshakes import certified
 from tests.stages.paths import CHARTS
 from tests.stages.programs import SELDOM_COLLECTING, free_port, program
 from tests.stages.waiting import WAIT_SECONDS_MAX, until
@@ -177,10 +178,8 @@ class Stage:
 
 def hearing(folder: Path, authority: Pair, heard: list[WebhookDelivery]) -> WebServer:
     """A process that the forge calls by HTTPS, with a certificate of this authority."""
-    pair = issue(authority, ["localhost"], time.time(), 3600)
-    (folder / "tls.crt").write_text(pair.certificate)
-    (folder / "tls.key").write_text(pair.key)
-    server = WebServer("127.0.0.1", 0, list, str, WEBHOOK_SECRET.encode(), heard.append, certificate=folder)
+    certificate = certified(folder, authority, "localhost")
+    server = WebServer("127.0.0.1", 0, list, str, WEBHOOK_SECRET.encode(), heard.append, certificate=certificate)
     server.start()
     return server
 

@@ -3,23 +3,34 @@ for the name by which he is asked, and who asks knows who may have signed it."""
 
 from __future__ import annotations
 
+import ssl
+import time
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 from urllib.parse import urlsplit
 
+import httpx
 import pytest
 import yaml
 
 from robotkube.delivery.certificates.settings import read_configuration as read_certificates
 from robotkube.delivery.console.settings import read_configuration as read_console
-from robotkube.delivery.gate.__main__ import read_configuration as read_gate
-from robotkube.delivery.manager.__main__ import read_configuration as read_manager
+from robotkube.delivery.gate import __main__ as gate
+from robotkube.delivery.manager import __main__ as manager
+from robotkube.delivery.rights import __main__ as rights
 from robotkube.delivery.rights.settings import read_configuration as read_rights
+from robotkube.foundation.certificates.adapters.issuing import new_authority
+from robotkube.foundation.runtime.adapters.webhook_server import WebServer
 from robotkube.foundation.runtime.settings_file import read_settings
-from robotkube.registry.admission.__main__ import read_configuration as read_admission
+from robotkube.registry.admission import __main__ as admission
+from robotkube.registry.suites import __main__ as suites
 from robotkube.registry.suites.settings import read_configuration as read_suite_runner
 from robotkube.setup.bootstrap import read_configuration as read_bootstrap
+from tests.stages import http_calls
+from tests.stages.handshakes import certified
 from tests.stages.paths import CHARTS
 from tests.stages.settings_mounted import mounted
 
@@ -30,11 +41,11 @@ PROFILES = Path(__file__).parent / "profiles"
 OFFICIAL, PROCESSES = PROFILES / "official.yaml", PROFILES / "processes.yaml"
 AUTHORITY = "-----BEGIN CERTIFICATE-----\nMIIB\n-----END CERTIFICATE-----\n"
 SERVING = {
-    "gate": read_gate,
-    "manager": read_manager,
-    "manager-north": read_manager,
+    "gate": gate.read_configuration,
+    "manager": manager.read_configuration,
+    "manager-north": manager.read_configuration,
     "rights": read_rights,
-    "admission": read_admission,
+    "admission": admission.read_configuration,
     "suite-runner": read_suite_runner,
 }
 GIVEN = {name: f"{name}-given" for name in SERVING}
@@ -184,11 +195,42 @@ def test_the_processes_read_what_the_chart_writes(encrypted: Any, tmp_path: Path
         found: Any = read_settings(mounted(encrypted, process, tmp_path / process), read)
         assert found.listen.certificate == tmp_path / process / "secrets" / "certificate"
         assert (found.listen.certificate / "tls.key").is_file()
-    north = read_settings(mounted(encrypted, "manager-north", tmp_path / "north"), read_manager)
+    north = read_settings(mounted(encrypted, "manager-north", tmp_path / "north"), manager.read_configuration)
     assert north.server_name == "manager-north.robotkube.svc.cluster.local"
     assert north.authorities == tmp_path / "north" / "authorities" / "ca.crt"
     console = read_settings(mounted(encrypted, "console", tmp_path / "console"), read_console)
     assert console.authorities[0] == tmp_path / "console" / "authorities" / "ca.crt"
+
+
+def server_of(process: str, configuration: Any, folder: Path) -> WebServer:
+    """The server of a process, which asks nobody else."""
+    parts = MagicMock()
+    if process == "gate":
+        return gate.build_server(configuration, parts, parts, parts)
+    if process == "manager":
+        return manager.build_server(configuration, parts, parts, None, parts, parts)
+    if process == "suite-runner":
+        return suites.build_server(configuration, parts)
+    if process == "rights":
+        return rights.RightsProcess(configuration, parts).server
+    return admission.AdmissionWriter(configuration, parts, folder / "work").server
+
+
+@pytest.mark.parametrize("process", sorted(SERVING.keys() - {"manager-north"}))
+def test_each_process_serves_with_what_the_chart_mounts(helm: Any, tmp_path: Path, process: str) -> None:
+    path = mounted(rendered(helm, PROCESSES), process, tmp_path)
+    authority = new_authority("ours", time.time())
+    certified(tmp_path / "secrets" / "certificate", authority, "localhost")
+    settings: Any = read_settings(path, SERVING[process])
+    listen = replace(settings.listen, address="127.0.0.1", port=0, health_port=0)
+    server = server_of(process, replace(settings, listen=listen), tmp_path)
+    server.start()
+    believing = ssl.create_default_context(cadata=authority.certificate)
+    try:
+        assert httpx.get(f"https://localhost:{server.port}/livez", verify=believing).status_code == 200
+        assert http_calls.get(f"http://localhost:{server.ports['health_port']}/livez").status_code == 200
+    finally:
+        server.stop()
 
 
 def test_the_forge_of_http_and_one_of_somebody_else_leave_them_by_https(helm: Any) -> None:

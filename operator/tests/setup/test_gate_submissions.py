@@ -5,6 +5,7 @@ import secrets
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 import yaml
 
 from robotkube.cli import main as cli
+from robotkube.foundation.certificates.adapters.issuing import new_authority
 from robotkube.foundation.runtime.adapters.webhook_server import WebServer
 from robotkube.registry.catalogue.core.catalogue import Catalogue
 from robotkube.registry.catalogue.loops.verified_catalogue import EvidenceReader
@@ -31,6 +33,7 @@ from tests.stages.forge.gate_process import (
 )
 from tests.stages.forge.installation import ApplicationSetController, Installation
 from tests.stages.forge.real_charts import PACKED_IMAGE
+from tests.stages.handshakes import certified, written
 from tests.stages.programs import program
 from tests.stages.registry.publications import Publishing, look_often, write_sources
 from tests.stages.registry.submissions import IMAGE
@@ -47,12 +50,21 @@ def _prompt(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def runner() -> Iterator[tuple[ScriptedRunner, str]]:
-    """A suite-runner's HTTP side whose verdicts the test gives, and its URL."""
+def authorities(tmp_path: Path) -> Path:
+    """The file of who signed the suite-runner's certificate."""
+    authority = new_authority("ours", time.time())
+    certified(tmp_path / "certificate", authority, "127.0.0.1")
+    return written(tmp_path / "authorities", authority)
+
+
+@pytest.fixture
+def runner(authorities: Path, tmp_path: Path) -> Iterator[tuple[ScriptedRunner, str]]:
+    """A suite-runner's side by HTTPS whose verdicts the test gives, and its URL."""
     scripted = ScriptedRunner()
-    server = WebServer("127.0.0.1", 0, list, str, put=RunsEndpoint(SUITES_TOKEN, scripted.run).put)
+    put = RunsEndpoint(SUITES_TOKEN, scripted.run).put
+    server = WebServer("127.0.0.1", 0, list, str, put=put, certificate=tmp_path / "certificate")
     server.start()
-    yield scripted, f"http://127.0.0.1:{server.port}"
+    yield scripted, f"https://127.0.0.1:{server.port}"
     server.stop()
 
 
@@ -61,11 +73,13 @@ def gate_url(
     installation: Installation,
     controller: ApplicationSetController,
     runner: tuple[ScriptedRunner, str],
+    authorities: Path,
     tmp_path: Path,
 ) -> Iterator[str]:
     """The gate as a process, with that suite-runner."""
     token = secret_file(tmp_path, "suites/token", SUITES_TOKEN)
-    settings = gate_settings(installation, tmp_path, controller.url) | {"suites": {"url": runner[1], "token": token}}
+    asking = {"suites": {"url": runner[1], "token": token}, "authorities": str(authorities)}
+    settings = gate_settings(installation, tmp_path, controller.url) | asking
     command = [sys.executable, "-m", "robotkube.delivery.gate"]
     environment = {**write_settings(tmp_path, settings), "ROBOTKUBE_RENDERER": program("chart-renderer")}
     with (tmp_path / "log").open("wb") as log:

@@ -5,16 +5,19 @@ from __future__ import annotations
 import socket
 import ssl
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
+from robotkube.foundation.certificates.adapters.issuing import issue
 from robotkube.foundation.certificates.adapters.verification import ServerVerification, client_context
 from robotkube.foundation.certificates.core.lives import Pair
 
 SECONDS_MAX = 10.0
+LIFE_SECONDS = 3600.0
 
 
 def written(folder: Path, pair: Pair) -> Path:
@@ -24,11 +27,21 @@ def written(folder: Path, pair: Pair) -> Path:
     return folder / "ca.crt"
 
 
-def server_context(folder: Path, pair: Pair) -> ssl.SSLContext:
-    """Shows this certificate."""
+def certified(folder: Path, authority: Pair, *names: str) -> Path:
+    """The folder with a certificate of this authority for these names, and with its key."""
+    _keep(folder, issue(authority, names, time.time(), LIFE_SECONDS))
+    return folder
+
+
+def _keep(folder: Path, pair: Pair) -> None:
     folder.mkdir(exist_ok=True)
     (folder / "tls.crt").write_text(pair.certificate)
     (folder / "tls.key").write_text(pair.key)
+
+
+def server_context(folder: Path, pair: Pair) -> ssl.SSLContext:
+    """Shows this certificate."""
+    _keep(folder, pair)
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(folder / "tls.crt", folder / "tls.key")
     return context

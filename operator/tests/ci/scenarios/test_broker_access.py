@@ -1,8 +1,10 @@
-"""How a run reaches the broker from this machine: by its address, verified by the name that its account has."""
+"""How a run reaches the broker from this machine: by its address, verified by the name that its account has. And the
+manager through the API server: by HTTPS where its Service says so."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -43,3 +45,23 @@ def test_the_broker_proves_the_name_of_its_service(tmp_path: Path) -> None:
 def test_in_clear_text_where_the_platform_says_so(tmp_path: Path, tls: str) -> None:
     account = Cluster(tls).broker_account("broker-account-observer", tmp_path)
     assert (account.host, account.tls) == ("10.96.0.9", None)
+
+
+class ClusterOfManager(Access):
+    """The cluster's answers: pages, by the path at the API server."""
+
+    def __init__(self, encrypted: bool) -> None:
+        self.encrypted = encrypted
+
+    def endpoint(self, name: str, namespace: str = "robotkube") -> Endpoint:
+        assert (name, namespace) == ("manager", "robotkube")
+        return Endpoint("10.96.0.8", 8080, self.encrypted)
+
+    def _proxied(self, path: str) -> Any:
+        return path
+
+
+@pytest.mark.parametrize(("encrypted", "service"), [(False, "manager:8080"), (True, "https:manager:8080")])
+def test_the_manager_is_asked_as_its_service_says(encrypted: bool, service: str) -> None:
+    asked = ClusterOfManager(encrypted).service_json("manager", "plans", 8080)
+    assert asked == f"/api/v1/namespaces/robotkube/services/{service}/proxy/plans"

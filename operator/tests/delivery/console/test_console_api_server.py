@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,11 +15,14 @@ import yaml
 
 from robotkube.delivery.console.__main__ import ConsoleProcess
 from robotkube.delivery.console.settings import read_configuration
+from robotkube.foundation.certificates.adapters import certificate_authorities
+from robotkube.foundation.certificates.adapters.issuing import new_authority
 from robotkube.foundation.kubernetes.adapters.client import api_client
 from robotkube.foundation.runtime.adapters.webhook_server import WebServer
 from robotkube.foundation.runtime.settings_file import read_settings
 from tests.delivery.console import documents as given
 from tests.delivery.console.test_settings import LEAST
+from tests.stages.handshakes import certified, written
 from tests.stages.kubernetes.api_calls import ARGOCD, TASKS, Api
 from tests.stages.kubernetes.api_server import ApiServerProcess
 from tests.stages.waiting import until
@@ -28,28 +32,39 @@ NODE, TASK = "/api/v1/nodes/cloud-0", "console-meeting"
 
 
 class Manager:
-    """A manager's pages."""
+    """A manager's pages, by HTTPS."""
 
-    def __init__(self) -> None:
+    def __init__(self, certificate: Path) -> None:
         self.plans: dict[str, Any] = {"plans": []}
         pages = {"/plans": lambda: self.plans, "/catalogue": lambda: given.CATALOGUE}
-        self.server = WebServer("127.0.0.1", 0, list, str, pages=pages)
+        self.server = WebServer("127.0.0.1", 0, list, str, pages=pages, certificate=certificate)
         self.server.start()
 
 
 @pytest.fixture
-def manager() -> Iterator[Manager]:
-    made = Manager()
+def authorities(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The file of who signed the manager's certificate."""
+    monkeypatch.setattr(certificate_authorities, "_trusted", {})
+    authority = new_authority("ours", time.time())
+    certified(tmp_path / "certificate", authority, "127.0.0.1")
+    return written(tmp_path / "authorities", authority)
+
+
+@pytest.fixture
+def manager(authorities: Path, tmp_path: Path) -> Iterator[Manager]:
+    made = Manager(tmp_path / "certificate")
     yield made
     made.server.stop()
 
 
 @pytest.fixture
-def console(api_server: ApiServerProcess, manager: Manager, tmp_path: Path) -> Iterator[httpx.Client]:
+def console(
+    api_server: ApiServerProcess, manager: Manager, authorities: Path, tmp_path: Path
+) -> Iterator[httpx.Client]:
     """A running console, asked as a browser would."""
-    managers = [{"name": "manager", "url": f"http://127.0.0.1:{manager.server.port}"}]
+    managers = [{"name": "manager", "url": f"https://127.0.0.1:{manager.server.port}"}]
     path = tmp_path / "config.yaml"
-    path.write_text(yaml.safe_dump({**LEAST, "managers": managers}))
+    path.write_text(yaml.safe_dump({**LEAST, "managers": managers, "authorities": str(authorities)}))
     api = api_client(str(api_server.kubeconfig))
     process = ConsoleProcess(read_settings(path, read_configuration), api)
     stopping = threading.Event()

@@ -16,7 +16,7 @@ from robotkube.delivery.console.adapters.http_pages import HttpPages
 from robotkube.delivery.manager.adapters.leader_proxy import LeaderRequests
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.certificates.adapters import certificate_authorities
-from robotkube.foundation.certificates.adapters.issuing import issue, new_authority
+from robotkube.foundation.certificates.adapters.issuing import new_authority
 from robotkube.foundation.certificates.core.lives import Pair
 from robotkube.foundation.forge.adapters.push_hooks import ObjectsRelay, PushRelay
 from robotkube.foundation.forge.core.commit_objects import CommitObjects
@@ -26,7 +26,7 @@ from robotkube.registry.suites.adapters.runner_protocol import RunsEndpoint, Sui
 from robotkube.registry.suites.core.requests import SuiteProgress, SuiteRequest
 from robotkube.testing.leadership import MemoryLeadership
 from robotkube.testing.suites import make_request, passed
-from tests.stages.handshakes import written
+from tests.stages.handshakes import certified, written
 from tests.stages.waiting import until
 
 NAME, SERVICE = "localhost", "manager.robotkube.svc.cluster.local"
@@ -43,15 +43,11 @@ class Peer:
     authority: Pair = field(default_factory=lambda: new_authority("ours", time.time()))
 
     def start(self) -> None:
-        self.folder.mkdir()
-        pair = issue(self.authority, [SERVICE, NAME], time.time(), 3600)
-        (self.folder / "tls.crt").write_text(pair.certificate)
-        (self.folder / "tls.key").write_text(pair.key)
         runs = RunsEndpoint(TOKEN, self._run)
         self.server = WebServer(
             *("127.0.0.1", 0, list, str, SECRET, self._deliver, {"/plans": self._plans}, runs.put),
             signed={"/objects/manager": Signed(SECRET, self._objects)},
-            certificate=self.folder,
+            certificate=certified(self.folder, self.authority, SERVICE, NAME),
         )
         self.server.start()
 

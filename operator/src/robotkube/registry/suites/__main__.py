@@ -44,20 +44,24 @@ def build_queue(configuration: RunnerConfiguration, environment: Mapping[str, st
     return SuiteQueue(executor, cleaners, needs_namespace)
 
 
-def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
-    """Serve the protocol, health and metrics until the process shall end."""
-    configuration = files.start_with_settings(process, read_configuration, environment, FORMER_KEYS)
-    queue = build_queue(configuration, environment)
-    endpoint = RunsEndpoint(configuration.token, queue.put)
-    server = WebServer(
+def build_server(configuration: RunnerConfiguration, queue: SuiteQueue) -> WebServer:
+    """The web server: requests for runs go into the queue."""
+    return WebServer(
         configuration.listen.address,
         configuration.listen.port,
         queue.reasons_not_ready,
         MetricsPage(queue.metrics).text,
-        put=endpoint.put,
+        put=RunsEndpoint(configuration.token, queue.put).put,
         health_port=configuration.listen.health_port,
         certificate=configuration.listen.certificate,
     )
+
+
+def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
+    """Serve the protocol, health and metrics until the process shall end."""
+    configuration = files.start_with_settings(process, read_configuration, environment, FORMER_KEYS)
+    queue = build_queue(configuration, environment)
+    server = build_server(configuration, queue)
     queue.start()
     server.start()
     process.log("started", **server.ports, test_namespaces=len(configuration.test_namespaces))

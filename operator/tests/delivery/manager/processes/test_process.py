@@ -1,34 +1,73 @@
-"""The manager as its pod runs it: one process, its settings file, a real forge with its gate, a real API server."""
+"""The manager as its pod runs it: one process, its settings file, a real forge with its gate, a real API server. It
+serves and asks by HTTPS."""
 
 import json
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 
+from robotkube.delivery.gate.__main__ import OBJECTS_PATH, objects_posts
+from robotkube.foundation.certificates.adapters import certificate_authorities
+from robotkube.foundation.certificates.adapters.issuing import new_authority
 from robotkube.foundation.kubernetes.adapters.client import call
+from robotkube.foundation.runtime.adapters.webhook_server import WebServer
 from robotkube.foundation.runtime.core.webhook_deliveries import sign
 from tests.stages import http_calls
 from tests.stages.delivery.manager_process import Pod, write_settings
 from tests.stages.forge.installation import WEBHOOK_SECRET, Installation, RunningGate, manager_secret, outside
+from tests.stages.handshakes import certified, written
 from tests.stages.kubernetes.api_calls import TASKS, Api
 from tests.stages.programs import free_port
 from tests.stages.waiting import until
 
+HERE = "127.0.0.1"
 pytestmark = [pytest.mark.toolchain, pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")]
 
 
 @pytest.fixture
-def pod(installation: Installation, gate: RunningGate, manager_api: Api, tmp_path: Path) -> Iterator[Pod]:
-    port = free_port()
-    listen = {"address": "127.0.0.1", "port": port, "health_port": free_port()}
-    settings = write_settings(outside(installation), tmp_path, port, manager_api.lease(), listen=listen)
+def certificate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Of an authority that the test believes as well."""
+    monkeypatch.setattr(certificate_authorities, "_trusted", {})
+    authority = new_authority("ours", time.time())
+    certificate_authorities.trust(written(tmp_path / "authorities", authority))
+    return certified(tmp_path / "certificate", authority, HERE)
+
+
+@pytest.fixture
+def objects_url(gate: RunningGate, certificate: Path) -> Iterator[str]:
+    """Where the gate takes commit objects by HTTPS."""
+    posts = objects_posts(gate.gate, "robotkube/deployment", {"manager": manager_secret()})
+    server = WebServer(HERE, 0, list, str, signed=posts, certificate=certificate)
+    server.start()
+    yield f"https://{HERE}:{server.port}{OBJECTS_PATH}/manager"
+    server.stop()
+
+
+@pytest.fixture
+def pod(
+    installation: Installation, objects_url: str, certificate: Path, manager_api: Api, tmp_path: Path
+) -> Iterator[Pod]:
+    port, lease = free_port(), manager_api.lease()
+    listen = {"address": HERE, "port": port, "health_port": free_port(), "certificate": str(certificate)}
+    settings = write_settings(
+        replace(outside(installation), objects_url=objects_url),
+        *(tmp_path, port, lease),
+        listen=listen,
+        authorities=f"{tmp_path}/authorities/ca.crt",
+    )
+    document = yaml.safe_load(settings.read_text())
+    document["lease"]["server_name"] = "manager.robotkube.svc.cluster.local"
+    settings.write_text(yaml.safe_dump(document))
     started = Pod(settings, manager_api.kubeconfig, port, "manager-0")
+    started.url = f"https://{HERE}:{port}"
     yield started
     started.kill()
 
@@ -57,7 +96,7 @@ def test_a_task_of_the_api_server_is_on_main(pod: Pod, manager_api: Api, gate: R
     )
     assert http_calls.post(f"{pod.url}/webhook", content=body, headers={}).status_code == 401
     health = yaml.safe_load((tmp_path / "config.yaml").read_text())["listen"]["health_port"]
-    for url in (pod.url, f"http://127.0.0.1:{health}"):
+    for url in (pod.url, f"http://{HERE}:{health}"):
         assert http_calls.get(f"{url}/readyz").status_code == 200
         assert "robotkube_manager_plans_total" in http_calls.get(f"{url}/metrics").text
     manager_api.delete(f"{TASKS}/meeting")
