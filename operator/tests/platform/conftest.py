@@ -15,7 +15,8 @@ from tests.stages.platform.running_platform import SCENARIO, VARIANT, Platform, 
 from tests.stages.platform.story import Story, play
 from tests.stages.platform.table_one import Stage, on_stage
 
-# The first starts and removes clusters itself; the last ones leave the platform changed. The stories of Table I follow.
+# The first starts and removes clusters itself. Those that leave the platform changed come right before the stories of
+# Table I, and after them those that put clusters of their own in the place of the shared one.
 ORDER = (
     "cluster/test_embedded_provider",
     "cluster/test_images",
@@ -52,10 +53,10 @@ ORDER = (
     "cluster/test_refusals",
     "cluster/test_lifecycle",
     "cluster/test_refusals_without_admission",
+    *(f"table_one/test_p{number:02}" for number in range(1, 11)),
     "cluster/test_other_cluster",
     "cluster/test_interrupting",
     "cluster/test_scenarios",
-    *(f"table_one/test_p{number:02}" for number in range(1, 11)),
 )
 HERE = Path(__file__).parent
 
