@@ -62,8 +62,11 @@ class Readiness:
         return () if wanted in present else (f"release {detector} has another rule than the scenario's",)
 
     def _plans(self) -> Sequence[str]:
+        """Those that the manager waits for. When it began after they were on main, it does not know when they were
+        observed; whether they are, the releases say."""
         plans = collecting.plans(self._access, collecting.Collecting(lambda _: None))
-        return [f"plan {plan.plan} is not observed" for plan in plans if plan.observed is None and plan.error is None]
+        waited_for = (plan for plan in plans if plan.started is not None and plan.observed is None)
+        return [f"plan {plan.plan} is not observed" for plan in waited_for if plan.error is None]
 
     def _pods(self) -> Sequence[str]:
         return [

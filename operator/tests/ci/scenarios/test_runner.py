@@ -140,6 +140,29 @@ def application(plan: str = "p1", sync: str = "Synced", health: str = "Healthy")
     return {"metadata": {"annotations": {"robotkube.io/plan": plan}}, "status": status}
 
 
+PLAN = {
+    "plan": "p1",
+    "subject": "deploy: one",
+    "cause": "task",
+    **{key: [] for key in ("tasks", "events", "changed", "created", "removed")},
+}
+
+
+@pytest.mark.parametrize(
+    ("times", "missing"),
+    [
+        ({}, []),  # the manager began after it was on main
+        ({"started": 1, "merged": 2}, ["plan p1 is not observed"]),
+        ({"started": 1, "merged": 2, "observed": 3}, []),
+        ({"started": 1, "error": "not observed within 900 s"}, []),
+    ],
+)
+def test_a_run_waits_for_the_plans_that_the_manager_waits_for(times: dict[str, Any], missing: list[str]) -> None:
+    access = SimpleNamespace(service_json=lambda *_: {"plans": [{**PLAN, **times}]})
+    waiting = readiness.Readiness(access, None, None)  # type: ignore[arg-type]
+    assert list(waiting._plans()) == missing
+
+
 @pytest.mark.parametrize(
     ("found", "problem"),
     [
