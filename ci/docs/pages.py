@@ -22,7 +22,7 @@ LEFT_OUT = ("operator/src/",)
 TOP = "README.md"
 PICTURES = "docs/images/"
 SECTIONS = {
-    "Tutorials": ("docs/tutorials/use-case.md", "docs/tutorials/"),
+    "Tutorials": ("docs/tutorials/first-hour.md", "docs/tutorials/use-case.md", "docs/tutorials/"),
     "How-to": ("docs/how-to/",),
     "Explanation": ("docs/explanation/architecture.md", "docs/explanation/"),
     "Reference": ("docs/reference/",),
