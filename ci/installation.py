@@ -19,7 +19,7 @@ import yaml
 
 from ci import evidence, toolchain
 from ci.client_certificates import client_certificate
-from ci.cluster.provider import ChartProfile
+from ci.cluster.provider import ChartProfile, ServicePort
 from ci.cluster.topology import Topology, chart_agents
 from ci.errors import SetUpError
 from ci.folders import PROJECT
@@ -142,11 +142,12 @@ class Installer:
         if chart == CHART:  # until then an older gate had the key there
             self.kubectl("-n", NAMESPACE, "delete", "secret", KEY_SECRET, "--ignore-not-found")
 
-    def console(self) -> str:
-        """The console's address, which this machine reaches; empty where the chart was installed without one."""
+    def console(self) -> ServicePort | None:
+        """The console's Service; None where the chart was installed without one."""
         where = "jsonpath={.spec.clusterIP}:{.spec.ports[0].port}"
         found = self.kubectl("-n", NAMESPACE, "get", "service", "console", "--ignore-not-found", "-o", where)
-        return f"http://{found.strip()}/" if found.strip() else ""
+        address, _, port = found.strip().rpartition(":")
+        return ServicePort(NAMESPACE, "console", address, int(port)) if address else None
 
     def bind_claims(self) -> None:
         """Bind volume claims of agents with one node now. Left to the first pod, the scheduler checks once in a second

@@ -31,6 +31,7 @@ import httpx
 
 from ci import evidence
 from ci.cluster.images import Image, lock_file, read_lock
+from ci.cluster.provider import Reach, ServicePort, directly
 from ci.errors import InputError, SetUpError
 from ci.folders import PROJECT
 from robotkube.cli.registry.source_problems import check_sources
@@ -87,24 +88,26 @@ def publish(
     progress: Callable[[str], None] = lambda text: None,
     kept: Path | None = None,
     extra: Sequence[str] = (),
+    reach: Reach = directly,
 ) -> Published:
     """Publish to the forge of the cluster that `kubeconfig` names; SetUpError says what is in the way. `kept`: folder
-    of evidence (default: the user's cache), `extra`: charts beside BASE, `<name>` or `<name>@<version>`."""
+    of evidence (default: the user's cache), `extra`: charts beside BASE, `<name>` or `<name>@<version>`, `reach`: how
+    this process gets to the forge."""
     return publish_to(
-        find_accounts(kubeconfig), read_lock(lock_file()), kept or evidence.kept_folder(), progress, extra
+        find_accounts(kubeconfig, reach), read_lock(lock_file()), kept or evidence.kept_folder(), progress, extra
     )
 
 
-def find_accounts(kubeconfig: Path) -> PublishingAccounts:
+def find_accounts(kubeconfig: Path, reach: Reach = directly) -> PublishingAccounts:
     """All accounts, of the cluster that `kubeconfig` names: who is its administrator approves what the folders have."""
-    charts, images, person = (find_forge(kubeconfig, name) for name in (ACCOUNT, IMAGE_ACCOUNT, PERSON))
+    charts, images, person = (find_forge(kubeconfig, name, reach) for name in (ACCOUNT, IMAGE_ACCOUNT, PERSON))
     if charts.url.startswith("https:"):  # of these, the first alone speaks Git
         charts = replace(charts, url=by_name(charts.url))
     return PublishingAccounts(charts, images, person)
 
 
-def find_forge(kubeconfig: Path, account: str = ACCOUNT) -> ForgeAccess:
-    """The forge's Service address, which the nodes' host can reach, and an account of it."""
+def find_forge(kubeconfig: Path, account: str = ACCOUNT, reach: Reach = directly) -> ForgeAccess:
+    """The forge's address by `reach` (else its Service's, which nodes reach), and an account of it."""
     from kubernetes import client, config
     from urllib3.exceptions import HTTPError
 
@@ -122,7 +125,8 @@ def find_forge(kubeconfig: Path, account: str = ACCOUNT) -> ForgeAccess:
     encrypted = service.spec.ports[0].name == "https"
     if encrypted:
         trust_text(authorities(kubeconfig))
-    return ForgeAccess(f"{'https' if encrypted else 'http'}://{service.spec.cluster_ip}:{PORT}", account, password)
+    host, port = reach(ServicePort(NAMESPACE, SERVICE, service.spec.cluster_ip, PORT))
+    return ForgeAccess(f"{'https' if encrypted else 'http'}://{host}:{port}", account, password)
 
 
 def authorities(kubeconfig: Path) -> str:

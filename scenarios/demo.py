@@ -16,13 +16,14 @@ from typing import Any
 from ci import preparing, publish
 from ci.cluster import choosing, topology
 from ci.cluster.choosing import Choice
+from ci.cluster.provider import Provider
 from ci.errors import SetUpError
 from ci.installation import Installer
 from ci.steps import Steps
 from scenarios import definition
 from scenarios.definition import Scenario, ScenarioError
 from scenarios.generator import routes
-from scenarios.runner import driving, running
+from scenarios.runner import driving, needs, running
 from scenarios.runner.access import Access
 from scenarios.runner.inspection import ROBOTKUBE
 
@@ -82,25 +83,31 @@ def bring_up(request: Request, steps: Steps) -> Installer:
         installer.argocd(prepared.references())
     with steps.step("platform") as step:
         installer.platform(prepared.references(), wanted, values=request.values)
-        step.progress(where_to_look(installer.console()))
-        nodes = publish.find_forge(kubeconfig, publish.PULL_ACCOUNT)
-        believed = publish.authorities(kubeconfig) if nodes.url.startswith("https://") else ""
-        provider.pull_from(nodes.url, nodes.username, nodes.password, believed)
+        step.progress(where_to_look(installer, provider))
+        if machines := provider.machines():
+            nodes = publish.find_forge(kubeconfig, publish.PULL_ACCOUNT)
+            believed = publish.authorities(kubeconfig) if nodes.url.startswith("https://") else ""
+            machines.pull_from(nodes.url, nodes.username, nodes.password, believed)
     with steps.step("catalogue") as step:
-        published = publish.publish(kubeconfig, step.progress, request.kept, settled.extra_charts)
+        extra = settled.extra_charts
+        published = publish.publish(kubeconfig, step.progress, request.kept, extra, provider.reach)
         step.note = published.outcome.verdict
     return installer
 
 
-def where_to_look(console: str) -> str:
+def where_to_look(installer: Installer, provider: Provider) -> str:
     """The sentence that says where the fleet is seen."""
-    return f"The console shows the fleet: {console}" if console else f"No console; `{ROBOTKUBE} watch` shows the fleet."
+    console = installer.console()
+    if console is None:
+        return f"No console; `{ROBOTKUBE} watch` shows the fleet."
+    return f"The console shows the fleet: {provider.way_of_a_person(console).instruction}"
 
 
 def run(request: Request) -> int:
     """Exit code of the whole: the scenario's when it ran."""
     steps = Steps(STEPS[request.until])
     provider = choosing.provider(request.cluster)
+    needs.require_machines(request.settled(), provider)
     installer = bring_up(request, steps)
     if request.until != "scenario":
         print(f"export KUBECONFIG={installer.kubeconfig}")
@@ -108,9 +115,9 @@ def run(request: Request) -> int:
     with steps.step("scenario", of=request.described):
         seconds = dict(steps.seconds)
         code = running.run(request.scenario, provider, request.settings, request.variant, set_up_seconds=seconds)
-    print(where_to_look(installer.console()))
+    print(where_to_look(installer, provider))
     if request.driving:
-        driving.drive(Access(provider.kubeconfig()), request.settled(), request.driving, print)
+        driving.drive(Access(provider.kubeconfig(), provider.reach), request.settled(), request.driving, print)
     return code
 
 

@@ -12,6 +12,7 @@ from ci.errors import SetUpError
 
 TIMEOUT_SECONDS = 20
 APPLY = "application/apply-patch+yaml"
+MERGE = "application/merge-patch+json"
 MANAGER = "fieldManager=robotkube-cluster&force=true"
 
 
@@ -53,6 +54,10 @@ class Api:
     def apply(self, path: str, manifest: dict[str, Any]) -> dict[str, Any]:
         """Server-side apply of `manifest` at `path` (with its name)."""
         return self._document("PATCH", f"{path}?{MANAGER}", json.dumps(manifest).encode(), APPLY)
+
+    def merge(self, path: str, change: dict[str, Any]) -> dict[str, Any]:
+        """Write these values into the object at `path`, and no others."""
+        return self._document("PATCH", path, json.dumps(change).encode(), MERGE)
 
     def _document(self, method: str, path: str, body: bytes | None = None, kind: str = "") -> dict[str, Any]:
         try:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TypeVar
@@ -28,11 +29,12 @@ from ci.cluster import (
 )
 from ci.cluster.addresses import PLANS, AddressPlan, plan_of
 from ci.cluster.api import Api
+from ci.cluster.disk_volumes import DiskVolumes
 from ci.cluster.emulation import emulating
 from ci.cluster.node_processes import Node
 from ci.cluster.pki import Authority
 from ci.cluster.processes import Launcher, Process, recorded, wait_until
-from ci.cluster.provider import ChartProfile, NodeState
+from ci.cluster.provider import ChartProfile, NodeState, ServicePort, WayOfAPerson, directly
 from ci.cluster.records import ClusterFolders, Record, one_at_a_time
 from ci.cluster.topology import NodeSpec, Topology
 from ci.errors import SetUpError
@@ -123,8 +125,25 @@ class Embedded:
         """See Provider.chart_profile."""
         return ChartProfile(("values-embedded.yaml",), {"suites": {"pool": objects.SUITE_NAMESPACES}})
 
+    def reach(self, service: ServicePort) -> tuple[str, int]:
+        """See Provider.reach."""
+        return directly(service)
+
+    def way_of_a_person(self, service: ServicePort) -> WayOfAPerson:
+        """See Provider.way_of_a_person."""
+        return WayOfAPerson(*directly(service))
+
+    @contextmanager
+    def volumes(self) -> Iterator[DiskVolumes]:
+        """See Provider.volumes."""
+        yield DiskVolumes(self.api())
+
+    def machines(self) -> Embedded:
+        """See Provider.machines."""
+        return self
+
     def cpu_folder(self) -> Path:
-        """See Provider.cpu_folder."""
+        """See OwnMachines.cpu_folder."""
         base = cgroups.ROOT if cgroups.unified() else (cgroups.ROOT / cgroups.ACCOUNTING).resolve()
         return base / cgroups.top(self.name)
 
@@ -139,7 +158,7 @@ class Embedded:
         return status.nodes(self.api())
 
     def import_images(self, wanted: Sequence[images.Image]) -> None:
-        """See Provider.import_images."""
+        """Make images known to every node under their digest references."""
         admission.add(self.folders, images=wanted)
         sockets = [
             node_processes.socket_of(process) for process in recorded(self.folders) if process.name.endswith(".node")
@@ -148,7 +167,7 @@ class Embedded:
         _in_parallel(lambda job: images.import_one(job[0], job[1], self.binaries), jobs)
 
     def pull_from(self, url: str, username: str, password: str, authorities: str = "") -> None:
-        """See Provider.pull_from."""
+        """See OwnMachines.pull_from."""
         pulling.allow(self.folders.hosts, url, username, password, authorities)
 
     def stop_node(self, name: str) -> None:
@@ -160,7 +179,7 @@ class Embedded:
         outages.start(self.name, name)
 
     def emulator(self) -> emulating.NetworkEmulation:
-        """See Provider.emulator."""
+        """See OwnMachines.emulator."""
         return emulating.NetworkEmulation(self.plan, self.launcher, self.nodes)
 
     def join(self, spec: NodeSpec, wanted: Sequence[images.Image]) -> None:
@@ -170,7 +189,7 @@ class Embedded:
             joining.join(self.launcher, self.api(), spec, wanted)
 
     def volume_path(self, namespace: str, volume_claim: str) -> Path:
-        """See Provider.volume_path."""
+        """The host's folder behind a bound volume claim."""
         return objects.volume_path(self.api(), namespace, volume_claim)
 
     def _reusable(self, record: Record, topology: Topology) -> bool:

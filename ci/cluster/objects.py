@@ -14,6 +14,7 @@ SUITE_NAMESPACES = 3  # namespaces in which charts are tried, each with a volume
 VOLUME_SIZE = "20Gi"
 VOLUMES_PER_ROLE = {"platform": 6, "cloud": 4 + SUITE_NAMESPACES}
 VOLUMES_OTHERWISE = 3
+VOLUMES = "/api/v1/persistentvolumes"
 RBAC = "/apis/rbac.authorization.k8s.io/v1"
 
 
@@ -24,7 +25,7 @@ def create(api: Api, nodes: tuple[Node, ...]) -> None:
     for node in nodes:
         for name, folder in volumes(node):
             folder.mkdir(parents=True, exist_ok=True)
-            api.apply(f"/api/v1/persistentvolumes/{name}", persistent_volume(node, name, folder))
+            api.apply(f"{VOLUMES}/{name}", persistent_volume(node, name, folder))
 
 
 def volumes(node: Node) -> tuple[tuple[str, Path], ...]:
@@ -67,7 +68,7 @@ def volume_path(api: Reader, namespace: str, volume_claim: str) -> Path:
         raise SetUpError(
             f"volume claim {namespace}/{volume_claim} has no volume (phase {phase}): start a pod that uses it"
         )
-    return Path(api.get(f"/api/v1/persistentvolumes/{volume}")["spec"]["local"]["path"])
+    return Path(api.get(f"{VOLUMES}/{volume}")["spec"]["local"]["path"])
 
 
 def _storage_class() -> tuple[str, dict[str, Any]]:

@@ -4,7 +4,8 @@ all that an installation and a scenario's run need. Whoever uses a cluster knows
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -32,6 +33,59 @@ class ChartProfile:
 
     files: tuple[str, ...] = ()
     values: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ServicePort:
+    """A port of a Service, with the Service's address inside of the cluster."""
+
+    namespace: str
+    name: str
+    address: str
+    port: int
+
+
+@dataclass(frozen=True)
+class WayOfAPerson:
+    """How a person at this machine gets to a port of a Service: host and port, and the command that has to run
+    meanwhile, which is empty where nothing has to."""
+
+    host: str
+    port: int
+    command: str = ""
+
+    @property
+    def instruction(self) -> str:
+        """Host and port, and after the command, if there is one."""
+        return f"http://{self.host}:{self.port}/{f' while this runs: {self.command}' if self.command else ''}"
+
+
+Reach = Callable[[ServicePort], tuple[str, int]]
+"""Gives host and port at which this process reaches a Service, as long as it runs."""
+
+
+def directly(service: ServicePort) -> tuple[str, int]:
+    """Reach a Service at its own address: this machine is one of the cluster's."""
+    return service.address, service.port
+
+
+class Volumes(Protocol):
+    """Files in volume claims. Paths are relative to the claim's volume."""
+
+    def use(self, claims: Sequence[tuple[str, str]]) -> None:
+        """Make the volumes of these claims (namespace, name) reachable; SetUpError says what is in the way."""
+
+    def place(self, claim: tuple[str, str], folder: Path) -> bool:
+        """Put a folder of this machine into a claim under its own name; True when another one had been there."""
+
+    def make(self, claim: tuple[str, str], folder: str) -> None:
+        """Make a folder in a claim, which pods of the platform's user may write to."""
+
+    def fetch(self, claim: tuple[str, str], path: str) -> Path:
+        """A file of a claim, as a file of this machine with what is in it now; SetUpError when it cannot be read."""
+
+    def end_of(self, claim: tuple[str, str], path: str, length: int) -> bytes:
+        """The last bytes of a file, so many at most; none when there is no such file."""
 
 
 class NetworkEmulator(Protocol):
@@ -89,31 +143,12 @@ class NodesProvider(Protocol):
         """The nodes, in the order of the topology."""
 
 
-class Provider(NodesProvider, Protocol):
-    """A cluster that can be started, used and removed without a trace. This machine reaches the addresses of its
-    Services, the forge's among them, and the folders of its volumes."""
-
-    def up(self, topology: Topology, images: Sequence[Image]) -> None:
-        """Start the cluster or use the running one if it is healthy and equals; every node is Ready afterwards."""
-
-    def kubeconfig(self) -> Path:
-        """The administrator's kubeconfig."""
-
-    def work(self) -> Path:
-        """A folder for files of what is installed; it goes with the cluster."""
-
-    def chart_profile(self) -> ChartProfile:
-        """What the platform's chart is told here, beside images and agents."""
-
-    def import_images(self, images: Sequence[Image]) -> None:
-        """Make images known to every node under their digest references."""
+class OwnMachines(Protocol):
+    """What can be done to the machines of Nodes, by the kind of cluster that made them."""
 
     def pull_from(self, url: str, username: str, password: str, authorities: str = "") -> None:
         """Let every node pull images of the platform's OCI registry, which is reached at `url`, with this account;
         `authorities`: who may have signed its certificate (PEM)."""
-
-    def volume_path(self, namespace: str, volume_claim: str) -> Path:
-        """The host's folder behind a bound volume claim."""
 
     def emulator(self) -> NetworkEmulator:
         """What gives the cables of nodes other conditions than the machine's."""
@@ -126,3 +161,32 @@ class Provider(NodesProvider, Protocol):
 
     def cpu_folder(self) -> Path:
         """The folder of control groups that count the CPU time of all that this cluster is made of."""
+
+
+class Provider(NodesProvider, Protocol):
+    """A cluster that can be started or taken, used, and removed without a trace."""
+
+    def up(self, topology: Topology, images: Sequence[Image]) -> None:
+        """Start the cluster, or use the one that is there if it is healthy and equals; every node is Ready
+        afterwards."""
+
+    def kubeconfig(self) -> Path:
+        """The administrator's kubeconfig."""
+
+    def work(self) -> Path:
+        """A folder for files of what is installed; it goes with the cluster."""
+
+    def chart_profile(self) -> ChartProfile:
+        """What the platform's chart is told here, beside images and agents."""
+
+    def reach(self, service: ServicePort) -> tuple[str, int]:
+        """See Reach."""
+
+    def way_of_a_person(self, service: ServicePort) -> WayOfAPerson:
+        """How a person gets to a Service, also when this process has ended."""
+
+    def volumes(self) -> AbstractContextManager[Volumes]:
+        """Files in volume claims, for as long as the block lasts."""
+
+    def machines(self) -> OwnMachines | None:
+        """What can be done to the machines of the Nodes; None where this kind did not make them."""

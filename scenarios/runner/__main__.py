@@ -63,7 +63,8 @@ def run(given: argparse.Namespace, settings: Mapping[str, str]) -> int:
 def drive(given: argparse.Namespace, settings: Mapping[str, str]) -> int:
     """Lets the players go round, or stand."""
     scenario = definition.load(given.scenario, [f"{key}={text}" for key, text in settings.items()], given.variant)
-    access = Access(provider_of(given).kubeconfig())
+    provider = provider_of(given)
+    access = Access(provider.kubeconfig(), provider.reach)
     driving.drive(access, scenario, given.minutes, print)
     return 0
 

@@ -17,6 +17,7 @@ from kubernetes import client, config
 from kubernetes.client.exceptions import ApiException
 from kubernetes.stream import stream
 
+from ci.cluster.provider import Reach, ServicePort, directly
 from robotkube.foundation.certificates.adapters.account_files import REQUIRED, SERVER_NAME, TLS
 from robotkube.foundation.certificates.adapters.certificate_authorities import trust_text
 from robotkube.foundation.database.adapters.connection import DatabaseLogin, login_at
@@ -49,12 +50,14 @@ class Endpoint:
 
 
 class Access:
-    """One connection to the API server; its methods raise `RunError` with the server's message."""
+    """One connection to the API server; its methods raise `RunError` with the server's message. `reach`: how this
+    process gets to Services."""
 
-    def __init__(self, kubeconfig: Path) -> None:
+    def __init__(self, kubeconfig: Path, reach: Reach = directly) -> None:
         if not kubeconfig.is_file():
             raise RunError(f"{kubeconfig}: there is no kubeconfig; start the cluster with `make cluster`")
         self.kubeconfig = kubeconfig
+        self._reach = reach
         self._client = config.new_client_from_config(str(kubeconfig))
         self.core = client.CoreV1Api(self._client)
         self.objects = client.CustomObjectsApi(self._client)
@@ -79,10 +82,15 @@ class Access:
         return dict(configmap.data or {})
 
     def endpoint(self, name: str, namespace: str = PLATFORM) -> Endpoint:
-        """ClusterIP and first port of a Service."""
+        """Where the first port of a Service answers."""
+        service, encrypted = self.service(name, namespace)
+        return Endpoint(*self._reach(service), encrypted)
+
+    def service(self, name: str, namespace: str = PLATFORM) -> tuple[ServicePort, bool]:
+        """The first port of a Service, and whether it speaks HTTPS."""
         service = self._call(self.core.read_namespaced_service, f"service {namespace}/{name}", name, namespace)
         port = service.spec.ports[0]
-        return Endpoint(service.spec.cluster_ip, port.port, port.name == HTTPS)
+        return ServicePort(namespace, name, service.spec.cluster_ip, port.port), port.name == HTTPS
 
     def forge(self) -> Endpoint:
         """The platform's forge as this process reaches it; where it speaks TLS, its certificate is believed from then
@@ -183,33 +191,6 @@ class Access:
         scheme = "https:" if self.endpoint(name, namespace).encrypted else ""
         return self._proxied(f"/api/v1/namespaces/{namespace}/services/{scheme}{name}:{port}/proxy/{path}")
 
-    def bind(self, namespace: str, volume_claim: str) -> None:
-        """Gives a volume claim that no pod has used yet a free volume of its agent's node, so that it can be filled.
-
-        For volumes made in advance; the node is the one labelled with the agent whose namespace this is.
-        """
-        claim = self._volume_claim(namespace, volume_claim)
-        if claim.spec.volume_name:
-            return
-        volumes = self._call(
-            self.core.list_persistent_volume, "volumes", label_selector=f"robotkube.io/agent={namespace}"
-        ).items
-        free = [volume for volume in volumes if volume.spec.claim_ref is None]
-        if not free:
-            states = ", ".join(f"{volume.metadata.name} {volume.status.phase}" for volume in volumes) or "none"
-            raise RunError(
-                f"volume claim {namespace}/{volume_claim}: no volume of agent {namespace} is free (there are: {states})"
-            )
-        reference = {"namespace": namespace, "name": volume_claim, "apiVersion": "v1", "kind": "PersistentVolumeClaim"}
-        body = {"spec": {"claimRef": reference}}
-        name = free[0].metadata.name
-        self._call(self.core.patch_persistent_volume, f"volume {name}", name, body)
-
-    def bound(self, namespace: str, volume_claim: str) -> bool:
-        """Whether a volume claim has its volume."""
-        claim = self._volume_claim(namespace, volume_claim)
-        return bool(claim.spec.volume_name and claim.status.phase == "Bound")
-
     def state(self, namespaces: Sequence[str]) -> str:
         """Pods that are not ready and tasks with their conditions, for people; never fails, since it explains
         failures."""
@@ -259,10 +240,6 @@ class Access:
     def set_schedulable(self, node: str, schedulable: bool) -> None:
         """Cordons a node, or takes that back."""
         self._call(self.core.patch_node, f"node {node}", node, {"spec": {"unschedulable": not schedulable}})
-
-    def _volume_claim(self, namespace: str, name: str) -> Any:
-        read = self.core.read_namespaced_persistent_volume_claim
-        return self._call(read, f"volume claim {namespace}/{name}", name, namespace)
 
     def _pod_lines(self, namespace: str) -> list[str]:
         return [

@@ -12,7 +12,7 @@ from robotkube.foundation.documents.core.times import time_text
 from scenarios.runner import listening
 from scenarios.runner.access import Access
 from scenarios.runner.inputs import Plan, StepDone
-from scenarios.runner.waiting import wait_for
+from scenarios.runner.waiting import RunError, wait_for
 from scenarios.steps import ABSENT, MAIN, Heard, ReleaseState, State, Step, TaskCount, TaskState
 
 POLL_SECONDS = 0.5
@@ -20,7 +20,7 @@ REQUESTER = "operator-team/scenario"
 
 
 class Machines(Protocol):
-    """What a cluster's provider can do to its nodes."""
+    """What can be done to the machines of nodes, where the cluster made them."""
 
     def stop_node(self, name: str) -> None:
         """End a node's machine with everything on it."""
@@ -33,14 +33,16 @@ class Machines(Protocol):
 
 @dataclass
 class Actor:
-    """Does steps in their order. `releases` gives main's releases as they are now; `before_kill` is called before
-    something of the platform is killed, to save what only its memory holds."""
+    """Does steps in their order. `machines` is None where steps do nothing to them; `nodes` are the names that nodes of
+    the scenario have on this cluster, where they differ. `releases` gives main's releases as they are now;
+    `before_kill` is called before something of the platform is killed, to save what only its memory holds."""
 
     access: Access
-    machines: Machines
+    machines: Machines | None
     releases: Callable[[], Mapping[str, Any]]
     progress: Callable[[str], None]
     before_kill: Callable[[], None] = lambda: None
+    nodes: Mapping[str, str] = field(default_factory=dict)
     done: list[StepDone] = field(default_factory=list)
     _stopped: list[str] = field(default_factory=list)
     _submitted: list[str] = field(default_factory=list)
@@ -99,8 +101,8 @@ class Actor:
 
     def _take_back(self) -> None:
         """Nodes that were stopped start again, tasks that are left are withdrawn: the next run begins as this one."""
-        for node in self._stopped:
-            self.machines.start_node(node)
+        for node in list(self._stopped):
+            self._start(node)
         for key in self._submitted:
             self.access.delete_task(*key.split("/", 1))
 
@@ -118,18 +120,23 @@ class Actor:
         self.access.kill(component)
 
     def _cordon(self, node: str) -> None:
-        self.access.set_schedulable(node, False)
+        self.access.set_schedulable(self.nodes.get(node, node), False)
 
     def _uncordon(self, node: str) -> None:
-        self.access.set_schedulable(node, True)
+        self.access.set_schedulable(self.nodes.get(node, node), True)
 
     def _stop(self, node: str) -> None:
-        self.machines.stop_node(node)
+        self._owned().stop_node(node)
         self._stopped.append(node)
 
     def _start(self, node: str) -> None:
-        self.machines.start_node(node)
+        self._owned().start_node(node)
         self._stopped = [one for one in self._stopped if one != node]
+
+    def _owned(self) -> Machines:
+        if self.machines is None:
+            raise RunError("the machines of the nodes are others'")
+        return self.machines
 
     def _wait(self, seconds: float) -> None:
         time.sleep(seconds)

@@ -6,11 +6,46 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 
-from ci.cluster.emulation.conditions import Measured, Traffic
+from ci.cluster.emulation.conditions import Measured, NetworkConditions, Traffic
 from ci.cluster.provider import NetworkEmulator
+from ci.errors import SetUpError
 from scenarios.definition import Scenario
 from scenarios.generator.coverage import CoverageHole, coverage_holes
 from scenarios.runner.inputs import NANOSECONDS, HoleDone, NetworkOfRun
+
+
+class UntouchedCables:
+    """What there is in place of an emulator where machines and cables are others': a scenario that asks for nothing of
+    them runs."""
+
+    def check(self, wanted: Mapping[str, NetworkConditions]) -> None:
+        """See NetworkEmulator.check."""
+        if wanted:
+            raise SetUpError(f"the cables of {', '.join(wanted)} are not this cluster's: they keep their conditions")
+
+    def apply(self, wanted: Mapping[str, NetworkConditions]) -> Mapping[str, tuple[str, ...]]:
+        """See NetworkEmulator.apply."""
+        self.check(wanted)
+        return {}
+
+    def probe(self) -> Mapping[str, Measured]:
+        """See NetworkEmulator.probe."""
+        return {}
+
+    def cut(self, agent: str, seconds: float) -> None:
+        """See NetworkEmulator.cut."""
+        raise SetUpError(f"the cable of {agent} is not this cluster's")
+
+    def traffic(self, agent: str) -> Mapping[str, Traffic]:
+        """See NetworkEmulator.traffic."""
+        return {}
+
+    def relay_dropped(self) -> int:
+        """See NetworkEmulator.relay_dropped."""
+        return 0
+
+    def clear(self) -> None:
+        """See NetworkEmulator.clear."""
 
 
 class Cables:

@@ -9,19 +9,22 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from ci.cluster.provider import Volumes
+from ci.errors import SetUpError
 from robotkube.foundation.database.adapters.connection import connect
 from robotkube.robots.recording.core.documents import AUDITS, INDEX, RECORDINGS, SAMPLES
 from scenarios.definition import Scenario, cloud_topic, pose_topic, transform_topic
 from scenarios.runner import storage
 from scenarios.runner.access import Access
 from scenarios.runner.inputs import AuditGap, Edge, InputCounters, LedgerLine, Plan, Recording, Stored, TopicCount
-from scenarios.runner.placing import LEDGER, Volumes
+from scenarios.runner.placing import LEDGER, VOLUME_CLAIM
 from scenarios.runner.waiting import RunError
 
 DETECTOR = "event-detector"
 MANAGER_PORT = 8080
 DATABASE_SECONDS_MAX = 60.0
 RECORDINGS_CLAIM = "recordings"
+LAST_LINE_BYTES_MAX = 200  # of a ledger
 
 
 class Collecting:
@@ -155,44 +158,38 @@ def _count(values: Mapping[str, Any]) -> TopicCount:
     )
 
 
-def ledger_file(volume: Path, run: str, topic: str) -> Path:
-    """Where a player writes the ledger of a topic."""
-    return volume / LEDGER / run / f"{topic.replace('/', '__')}.jsonl"
+def ledger_file(run: str, topic: str) -> str:
+    """Where a player writes the ledger of a topic, in the volume claim of its agent."""
+    return f"{LEDGER}/{run}/{topic.replace('/', '__')}.jsonl"
 
 
-def ledger_ended(file: Path) -> bool:
+def ledger_ended(volumes: Volumes, agent: str, file: str) -> bool:
     """Whether a ledger has its last line."""
-    try:
-        with file.open("rb") as stream:
-            stream.seek(max(0, file.stat().st_size - 200))
-            return b'"end"' in stream.read().rstrip().rpartition(b"\n")[2]
-    except OSError:
-        return False
+    return b'"end"' in volumes.end_of((agent, VOLUME_CLAIM), file, LAST_LINE_BYTES_MAX).rstrip().rpartition(b"\n")[2]
 
 
-def ledgers(
-    scenario: Scenario, volumes: Mapping[str, Path], run: str, reading: Collecting
-) -> dict[str, tuple[LedgerLine, ...]]:
+def ledgers(scenario: Scenario, volumes: Volumes, run: str, reading: Collecting) -> dict[str, tuple[LedgerLine, ...]]:
     """The ledgers of the lidar vehicles; one that is missing or has no true end is left out and named."""
     complete = {}
     for agent in scenario.lidar_vehicles:
         for topic in (pose_topic(agent), cloud_topic(agent), transform_topic(agent)):
-            file = ledger_file(volumes[agent], run, topic)
-            lines = reading.read(f"ledger of {topic}", partial(_ledger, file), None, "ledgers")
+            source = partial(_ledger, volumes, agent, ledger_file(run, topic))
+            lines = reading.read(f"ledger of {topic}", source, None, "ledgers")
             if lines is not None:
                 complete[topic] = lines
     return complete
 
 
-def _ledger(file: Path) -> tuple[LedgerLine, ...]:
-    return storage.ledger(json.loads(line) for line in file.read_text().splitlines())
+def _ledger(volumes: Volumes, agent: str, file: str) -> tuple[LedgerLine, ...]:
+    text = volumes.fetch((agent, VOLUME_CLAIM), file).read_text()
+    return storage.ledger(json.loads(line) for line in text.splitlines())
 
 
 def stored(
-    access: Access, scenario: Scenario, volumes: Volumes, events: Sequence[str]
+    access: Access, scenario: Scenario, find: storage.FindSegment, events: Sequence[str]
 ) -> tuple[tuple[Recording, ...], tuple[Stored, ...], tuple[AuditGap, ...]]:
-    """Recordings of the given events, all their messages, read back from database and segments, and what their audits
-    name as missing."""
+    """Recordings of the given events, all their messages, read back from database and the segments that `find` finds,
+    and what their audits name as missing."""
     namespace = scenario.story.recording_agent
     with tempfile.TemporaryDirectory(prefix="database-") as folder:
         account = access.database_account(namespace, Path(folder))
@@ -206,28 +203,34 @@ def stored(
             database.client.close()
         except Exception as error:
             raise RunError(f"database {account.host}:{account.port} as {account.username}: {error}") from error
-    return mine, storage.stored(samples, index, segment_finder(scenario, volumes)), storage.gaps(audits)
+    return mine, storage.stored(samples, index, find), storage.gaps(audits)
 
 
-def segment_finder(scenario: Scenario, volumes: Volumes) -> storage.FindSegment:
-    """Finds a segment's file by its volume `<node>/<volume claim>`: that of the agent whose node it is."""
-    agents = {node.name: node.agent for node in scenario.nodes}
-    folders: dict[str, Path | None] = {}
+def segment_finder(agents: Mapping[str, str], volumes: Volumes) -> storage.FindSegment:
+    """Finds a segment's file by its volume `<node>/<volume claim>`: that of the agent whose node it is. `agents`: by
+    node."""
+    used: dict[tuple[str, str], bool] = {}
 
     def find(volume: str, path: str) -> Path | None:
-        if volume not in folders:
-            node, _, volume_claim = volume.partition("/")
-            folders[volume] = _folder(volumes, agents.get(node), volume_claim)
-        folder = folders[volume]
-        return folder / path if folder else None
+        node, _, name = volume.partition("/")
+        claim = agents.get(node, ""), name
+        if claim not in used:
+            used[claim] = bool(claim[0]) and _usable(volumes, claim)
+        return _fetched(volumes, claim, path) if used[claim] else None
 
     return find
 
 
-def _folder(volumes: Volumes, agent: str | None, volume_claim: str) -> Path | None:
-    from ci.errors import SetUpError
-
+def _usable(volumes: Volumes, claim: tuple[str, str]) -> bool:
     try:
-        return volumes.volume_path(agent, volume_claim) if agent else None
+        volumes.use([claim])
+    except SetUpError:
+        return False
+    return True
+
+
+def _fetched(volumes: Volumes, claim: tuple[str, str], path: str) -> Path | None:
+    try:
+        return volumes.fetch(claim, path)
     except SetUpError:
         return None

@@ -27,9 +27,10 @@ PodLabels = Mapping[str, tuple[str, str, Mapping[str, str]]]
 
 
 class CpuSampler:
-    """Reads the groups below `root` (the cluster's folder in the accounting hierarchy) from `start` to `stop`."""
+    """Reads the groups below `root` (the cluster's folder in the accounting hierarchy) from `start` to `stop`; None:
+    nobody counts, and only what this process spends is known."""
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path | None) -> None:
         self._root = root
         self._first: dict[Path, float] = {}
         self._last: dict[Path, float] = {}
@@ -73,6 +74,8 @@ class CpuSampler:
 
     def cores_used(self, seconds: float = REST_SECONDS) -> float | None:
         """How many cores the cluster takes, on average over the next `seconds`; None when nobody counts it."""
+        if self._root is None:
+            return None
         before, began = usage_seconds(self._root), time.monotonic()
         time.sleep(seconds)
         after = usage_seconds(self._root)
@@ -93,8 +96,9 @@ class CpuSampler:
             self.sample()
 
     def _folders(self) -> Iterator[Path]:
-        for pattern in (DAEMONS, *PODS):
-            yield from self._root.glob(pattern)
+        if self._root is not None:
+            for pattern in (DAEMONS, *PODS):
+                yield from self._root.glob(pattern)
 
 
 def usage_seconds(folder: Path) -> float | None:

@@ -29,8 +29,9 @@ def kubectl_folder() -> Path | None:
     return max(folders, key=lambda folder: folder.parent.stat().st_mtime, default=None)
 
 
-def commands(scenario: Scenario, kubeconfig: Path, forge: Endpoint) -> Iterator[tuple[str, str]]:
-    """Pairs of what a command shows and the command; each ends by itself."""
+def commands(scenario: Scenario, kubeconfig: Path, forge: Endpoint, meanwhile: str = "") -> Iterator[tuple[str, str]]:
+    """Pairs of what a command shows and the command; each ends by itself, but for the one that the forge's address
+    needs meanwhile, if there is one."""
     person, agent = scenario.story.person, scenario.story.recording_agent
     scheme, _, place = forge.url.partition("//")
     clone = f"{scheme}//{person}:{PASSWORD.format(person=person)}@{place}/robotkube/deployment.git"
@@ -52,14 +53,16 @@ def commands(scenario: Scenario, kubeconfig: Path, forge: Endpoint) -> Iterator[
         )
     if forge.encrypted:
         yield "who signed the forge's certificate", f"{READING_AUTHORITY} > {AUTHORITY}"
+    if meanwhile:
+        yield "the way to the forge, for as long as it runs", meanwhile
     yield "the deployment repository", f'git {believing}clone "{clone}" deployment'
     yield "every change with its cause", "git -C deployment log --format='%h %an %s%n%(trailers)'"
 
 
-def lines(scenario: Scenario, kubeconfig: Path, forge: Endpoint) -> Iterator[str]:
+def lines(scenario: Scenario, kubeconfig: Path, forge: Endpoint, meanwhile: str = "") -> Iterator[str]:
     """The commands as text, and how pages are seen."""
     yield "To inspect the cluster:"
-    for what, command in commands(scenario, kubeconfig, forge):
+    for what, command in commands(scenario, kubeconfig, forge, meanwhile):
         yield f"  # {what}"
         yield f"  {command}"
     yield SEEING

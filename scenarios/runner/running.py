@@ -10,16 +10,27 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from ci.cluster.provider import Provider
+from ci.cluster.provider import Provider, Volumes
 from ci.errors import SetUpError
 from ci.folders import PROJECT
 from scenarios import definition
 from scenarios.definition import Scenario, cloud_topic, pose_topic
 from scenarios.generator import bags, checking, coverage, routes
-from scenarios.runner import cables, collecting, driving, evidence, inspection, policy, proposing, report, timeline
-from scenarios.runner.access import PLATFORM, Access
+from scenarios.runner import (
+    cables,
+    collecting,
+    driving,
+    evidence,
+    inspection,
+    needs,
+    policy,
+    proposing,
+    report,
+    timeline,
+)
+from scenarios.runner.access import PLATFORM, Access, Endpoint
 from scenarios.runner.acting import Actor, merge_plans
-from scenarios.runner.cables import Cables
+from scenarios.runner.cables import Cables, UntouchedCables
 from scenarios.runner.cpu import CpuSampler
 from scenarios.runner.deployment import CATALOGUE, Deployment, specification_digests
 from scenarios.runner.inputs import (
@@ -36,7 +47,7 @@ from scenarios.runner.inputs import (
 )
 from scenarios.runner.observing import BrokerObserver, PodWatch
 from scenarios.runner.page import page, value
-from scenarios.runner.placing import Volumes, place_bags
+from scenarios.runner.placing import place_bags
 from scenarios.runner.readiness import Readiness
 from scenarios.runner.showing import Showing, showing
 from scenarios.runner.tasks import TaskWatch
@@ -57,13 +68,14 @@ StoredOfRun = tuple[tuple[Recording, ...], tuple[Stored, ...], tuple[AuditGap, .
 
 @dataclass
 class Run:
-    """A run under way: the tools it uses and what it has noted. `provider` is the kind of cluster, `progress` shows
-    people a line, on standard error."""
+    """A run under way: the tools it uses and what it has noted. `provider` is the kind of cluster, `nodes` has
+    the names of its nodes by those of the scenario, `progress` shows people a line, on standard error."""
 
     scenario: Scenario
     access: Access
     provider: str
     volumes: Volumes
+    nodes: Mapping[str, str]
     deployment: Deployment
     catalogue: Deployment
     observer: BrokerObserver
@@ -76,7 +88,6 @@ class Run:
     actor: Actor
     cables: Cables
     showing: Showing
-    volume_folders: Mapping[str, Path] = field(default_factory=dict)
     releases_before: Mapping[str, str] = field(default_factory=dict)
     main_before: str = ""
     input_before: InputCounters | None = None
@@ -123,6 +134,7 @@ def run(
     for agent, bag in made.items():
         checking.check_bag(bag, scenario, agent)
     seconds = dict(set_up_seconds or {}) | {"bags": round(time.monotonic() - began, 2)}
+    needs.require_machines(scenario, provider)
     try:
         return _run(scenario, provider, made, seconds, reports)
     except RunError as error:
@@ -137,32 +149,34 @@ def _print_progress(text: str) -> None:
 def _run(
     scenario: Scenario, provider: Provider, made: Mapping[str, Path], seconds: dict[str, float], reports: Path
 ) -> int:
-    access = Access(provider.kubeconfig())
-    _check_nodes(scenario, provider)
+    access, machines = Access(provider.kubeconfig(), provider.reach), provider.machines()
+    nodes = needs.nodes_by_name(scenario, provider)
     forge, story = access.forge(), scenario.story
     account_of_person, approver = access.forge_account(story.person), access.forge_account(story.approver)
     with (
         Deployment(forge, *account_of_person, approver=approver) as deployment,
         Deployment(forge, *account_of_person, CATALOGUE) as catalogue,
         TemporaryDirectory(prefix="robotkube-observer-") as mounted,
+        provider.volumes() as volumes,
     ):
-        actor = Actor(access, provider, releases=lambda: _fetched(deployment), progress=_print_progress)
+        actor = Actor(access, machines, lambda: _fetched(deployment), _print_progress, nodes=nodes)
         going = Run(
             scenario=scenario,
             access=access,
             provider=provider.kind,
-            volumes=provider,
+            volumes=volumes,
+            nodes=nodes,
             deployment=deployment,
             catalogue=catalogue,
             observer=BrokerObserver(access.broker_account("broker-account-observer", Path(mounted))),
             pods=PodWatch(access, [node.agent for node in scenario.nodes], _print_progress),
             tasks=TaskWatch(access, _print_progress),
-            sampler=CpuSampler(provider.cpu_folder()),
+            sampler=CpuSampler(machines.cpu_folder() if machines else None),
             name=f"run-{time.strftime('%Y%m%d-%H%M%S', time.gmtime())}",
             progress=_print_progress,
             set_up_seconds=seconds,
             actor=actor,
-            cables=Cables(scenario, provider.emulator(), _print_progress),
+            cables=Cables(scenario, machines.emulator() if machines else UntouchedCables(), _print_progress),
             showing=showing(access.kubeconfig, _print_progress),
             warnings=lacking(provider, _print_progress),
         )
@@ -174,6 +188,7 @@ def _run(
         finally:
             going.cables.reset()
         show(going, done, reports)
+        print("\n".join(inspection.lines(scenario, access.kubeconfig, *_forge_of_a_person(access, provider))))
     return 0 if done.passed else 1
 
 
@@ -190,16 +205,11 @@ def _fetched(deployment: Deployment) -> Mapping[str, Any]:
     return deployment.releases()
 
 
-def _check_nodes(scenario: Scenario, provider: Provider) -> None:
-    """The cluster must have the scenario's nodes, else the run would wait for players that cannot exist."""
-    there = {node.name for node in provider.nodes() if node.ready}
-    missing = [node.name for node in scenario.nodes if node.name not in there]
-    if missing:
-        raise RunError(
-            f"cluster {provider.name} has no ready node {', '.join(missing)}; start it with the same --set "
-            f"vehicles=..., "
-            "or give the run the number of vehicles that the cluster has"
-        )
+def _forge_of_a_person(access: Access, provider: Provider) -> tuple[Endpoint, str]:
+    """Where a person finds the forge after the run, and the command that has to run meanwhile."""
+    service, encrypted = access.service("forge")
+    way = provider.way_of_a_person(service)
+    return Endpoint(way.host, way.port, encrypted), way.command
 
 
 def execute(going: Run, made: Mapping[str, Path]) -> report.Report:
@@ -236,7 +246,7 @@ def prepare(going: Run, made: Mapping[str, Path]) -> None:
     going.cables.reset()
     driving.stop(going.access, going.scenario, going.progress)
     began = time.monotonic()
-    going.volume_folders = place_bags(going.access, going.volumes, made, going.progress)
+    place_bags(going.access, going.volumes, made, going.progress)
     ask(going)
     readiness = Readiness(going.access, going.deployment, going.scenario)
     wait_for(
@@ -319,13 +329,14 @@ def wait_for_end(going: Run) -> None:
 
 def _wait_for_players(going: Run) -> None:
     length = routes.duration_seconds(going.scenario.parameters)
-    files = [collecting.ledger_file(going.volume_folders[a], going.name, t) for a, t in _played(going.scenario)]
+    files = [(agent, collecting.ledger_file(going.name, topic)) for agent, topic in _played(going.scenario)]
+    due = going.started + length * NANOSECONDS  # before, no ledger has an end, and looking costs time
 
     def ended() -> bool:
-        return all(collecting.ledger_ended(file) for file in files)
+        return time.time_ns() >= due and all(collecting.ledger_ended(going.volumes, *file) for file in files)
 
     def open_ledgers() -> str:
-        open_files = [file.name for file in files if not collecting.ledger_ended(file)]
+        open_files = [file for agent, file in files if not collecting.ledger_ended(going.volumes, agent, file)]
         return f"{len(open_files)} of {len(files)} ledgers have no end yet: {', '.join(open_files[:3])}"
 
     limit = START_DELAY_SECONDS + length + PLAY_SECONDS_MARGIN
@@ -383,7 +394,7 @@ def collect(going: Run) -> RunInputs:
         provider=going.provider,
         started=going.started,
         ended=ended,
-        ledgers=collecting.ledgers(scenario, going.volume_folders, going.name, reading) if scenario.players else {},
+        ledgers=collecting.ledgers(scenario, going.volumes, going.name, reading) if scenario.players else {},
         stored=stored,
         recordings=recordings,
         edges=edges,
@@ -430,7 +441,9 @@ def _stored(going: Run, reading: collecting.Collecting, edges: Sequence[Edge]) -
     events = [edge.id for edge in edges if edge.time >= going.started]
 
     def source() -> StoredOfRun:
-        return collecting.stored(going.access, going.scenario, going.volumes, events)
+        agents = {going.nodes[node.name]: node.agent for node in going.scenario.nodes}
+        find = collecting.segment_finder(agents, going.volumes)
+        return collecting.stored(going.access, going.scenario, find, events)
 
     nothing: StoredOfRun = ((), (), ())
     stored: StoredOfRun = reading.read("recordings", source, nothing, "recordings", "stored", "gaps")
@@ -462,4 +475,3 @@ def show(going: Run, done: report.Report, reports: Path) -> None:
     for text in done.document["warnings"]:
         print(f"warning: {text}")
     print(f"\n{'passed' if done.passed else 'FAILED'}: {files[0]}, {files[1]}\n")
-    print("\n".join(inspection.lines(going.scenario, going.access.kubeconfig, going.access.endpoint("forge"))))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -71,5 +72,6 @@ def test_a_demo_ends_with_where_the_fleet_is_seen(
     monkeypatch.setattr(Installed, "address", address)
     monkeypatch.setattr(demo, "bring_up", lambda request, steps: Installed(Path(), Path("kubeconfig"), Path()))
     monkeypatch.setattr(demo.running, "run", lambda *arguments, **named: 0)
+    monkeypatch.setattr(demo.Request, "settled", lambda self: SimpleNamespace(steps=(), network={}))
     assert demo.run(demo.Request(Path("scenario"), {}, demo.Choice(), "scenario")) == 0
     assert capsys.readouterr().out.splitlines()[-1] == said

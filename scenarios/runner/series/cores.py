@@ -20,7 +20,7 @@ def cores(_scenario: Scenario, inputs: RunInputs, _met: Sequence[Encounter]) -> 
     """`seconds` since the start, and by component the cores on average from each of them to the next; None when
     nobody sampled."""
     used = inputs.cores
-    if used is None or len(used.times) < 2:
+    if used is None or not used.components or len(used.times) < 2:
         return None
     spans = [(group[0], group[-1] + 1) for group in groups(range(len(used.times) - 1))]
     bounds = [used.times[begin] for begin, _ in spans] + [used.times[-1]]

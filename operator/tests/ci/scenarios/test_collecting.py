@@ -85,7 +85,7 @@ def going(run: Any, monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         access=Answers(known),
         provider="embedded",
         volumes=None,
-        volume_folders={},
+        nodes={node.name: node.name for node in run.scenario.nodes},
         deployment=forge,
         catalogue=SimpleNamespace(fetch=lambda: "", files=lambda _: {}),
         observer=SimpleNamespace(stop=lambda: replace(known.broker, until=2 * known.broker.until)),

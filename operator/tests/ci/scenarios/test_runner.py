@@ -1,12 +1,13 @@
-"""The parts of a run that need no cluster: placing bags, asking for players, CPU accounting, readiness, bounded
+"""The parts of a run that need no cluster: asking for players, CPU accounting, readiness, bounded
 waits."""
 
 from __future__ import annotations
 
 import json
-import os
 import shlex
 import struct
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,67 +15,58 @@ from typing import Any
 import pytest
 import yaml
 
+from ci.cluster.disk_volumes import end_of
+from ci.cluster.provider import NodeState
+from ci.errors import InputError, SetUpError
 from scenarios import definition
 from scenarios.runner import (
     __main__,
+    cables,
     collecting,
     cpu,
     deployment,
     inspection,
+    needs,
     observing,
-    placing,
     policy,
     readiness,
     running,
     waiting,
 )
 from scenarios.runner.access import Endpoint
+from scenarios.steps import Step, read_steps
 from tests.stages.paths import SCENARIOS
 
 FOLDER = SCENARIOS / "pose-point-cloud-db-recording"
 UID = "0f9d3a52-8c1e-4b7e-9a57-2f1b6c0d4e11"
 
 
+class FolderVolumes:
+    """Volumes below a folder: `<namespace>/<claim>`; those of the namespace `away` cannot be reached."""
+
+    def __init__(self, top: Path) -> None:
+        self.top = top
+
+    def use(self, claims: Sequence[tuple[str, str]]) -> None:
+        if any(namespace == "away" for namespace, _ in claims):
+            raise SetUpError("away")
+
+    def place(self, claim: tuple[str, str], folder: Path) -> bool:
+        raise NotImplementedError
+
+    def make(self, claim: tuple[str, str], folder: str) -> None:
+        raise NotImplementedError
+
+    def fetch(self, claim: tuple[str, str], path: str) -> Path:
+        return self.top.joinpath(*claim, path)
+
+    def end_of(self, claim: tuple[str, str], path: str, length: int) -> bytes:
+        return end_of(self.top.joinpath(*claim, path), length)
+
+
 @pytest.fixture
 def scenario() -> definition.Scenario:
     return definition.load(FOLDER, variant="small")
-
-
-# bags -----------------------------------------------------------------------------------------------------------------
-
-
-def bag(folder: Path, content: str = "data") -> Path:
-    folder.mkdir(parents=True)
-    (folder / "vehicle-00.mcap").write_text(content)
-    (folder / "metadata.yaml").write_text("x")
-    return folder
-
-
-def test_a_bag_is_linked_into_the_claim_once(tmp_path: Path) -> None:
-    claim = tmp_path / "claim"
-    claim.mkdir()
-    source = bag(tmp_path / "bag")
-    assert not placing.place(source, claim / "vehicle-00")
-    assert (claim / "vehicle-00" / "vehicle-00.mcap").samefile(source / "vehicle-00.mcap")
-    assert (claim / "ledger").stat().st_uid == placing.OWNER or os.getuid() != 0
-    assert not placing.place(source, claim / "vehicle-00")
-
-
-def test_another_bag_replaces_the_one_that_is_there(tmp_path: Path) -> None:
-    claim = tmp_path / "claim"
-    claim.mkdir()
-    placing.place(bag(tmp_path / "first"), claim / "vehicle-00")
-    assert placing.place(bag(tmp_path / "second", "other"), claim / "vehicle-00")
-    assert (claim / "vehicle-00" / "vehicle-00.mcap").read_text() == "other"
-    assert sorted(entry.name for entry in claim.iterdir()) == ["ledger", "vehicle-00"]
-
-
-def test_what_an_interrupted_placing_left_is_no_bag(tmp_path: Path) -> None:
-    claim = tmp_path / "claim"
-    (claim / ".vehicle-00.partial").mkdir(parents=True)
-    (claim / ".vehicle-00.partial" / "half").write_text("x")
-    placing.place(bag(tmp_path / "bag"), claim / "vehicle-00")
-    assert sorted(file.name for file in (claim / "vehicle-00").iterdir()) == ["metadata.yaml", "vehicle-00.mcap"]
 
 
 # policy ---------------------------------------------------------------------------------------------------------------
@@ -386,31 +378,32 @@ def test_a_look_that_fails_is_repeated_and_its_last_failure_named() -> None:
 
 
 def test_a_ledger_has_ended_with_its_last_line(tmp_path: Path) -> None:
-    file = collecting.ledger_file(tmp_path, "run-1", "/vehicles/vehicle_00/pose")
-    assert file == tmp_path / "ledger" / "run-1" / "__vehicles__vehicle_00__pose.jsonl"
-    assert not collecting.ledger_ended(file)
+    name = collecting.ledger_file("run-1", "/vehicles/vehicle_00/pose")
+    assert name == "ledger/run-1/__vehicles__vehicle_00__pose.jsonl"
+    volumes, file = FolderVolumes(tmp_path), tmp_path / "vehicle-00" / "bags" / name
+    assert not collecting.ledger_ended(volumes, "vehicle-00", name)
     file.parent.mkdir(parents=True)
     lines = [json.dumps({"sequence": n, "stamp": n, "sha256": "0" * 64}) for n in range(100)]
     file.write_text("\n".join(lines) + "\n")
-    assert not collecting.ledger_ended(file)
+    assert not collecting.ledger_ended(volumes, "vehicle-00", name)
     file.write_text("\n".join([*lines, json.dumps({"end": True, "count": 100})]) + "\n")
-    assert collecting.ledger_ended(file)
+    assert collecting.ledger_ended(volumes, "vehicle-00", name)
 
 
 def test_ledgers_that_are_missing_are_named(scenario: definition.Scenario, tmp_path: Path) -> None:
     said: list[str] = []
     reading = collecting.Collecting(said.append)
-    assert collecting.ledgers(scenario, dict.fromkeys(scenario.vehicles, tmp_path), "run-1", reading) == {}
+    assert collecting.ledgers(scenario, FolderVolumes(tmp_path), "run-1", reading) == {}
     assert reading.missing == {"ledgers"}
     assert len(said) == 6
     assert all(text.startswith("ledger of /vehicles/") for text in said)
 
 
-def test_segments_of_volumes_that_are_away_are_not_found(scenario: definition.Scenario, tmp_path: Path) -> None:
-    volumes = SimpleNamespace(volume_path=lambda agent, claim: tmp_path / agent / claim)
-    find = collecting.segment_finder(scenario, volumes)
-    assert find("cloud-0/recordings", "a/1.mcap") == tmp_path / "cloud-0" / "recordings" / "a" / "1.mcap"
-    assert find("cloud-9/recordings", "a/1.mcap") is None
+def test_segments_of_volumes_that_are_away_are_not_found(tmp_path: Path) -> None:
+    find = collecting.segment_finder({"machine-4": "cloud-0", "machine-5": "away"}, FolderVolumes(tmp_path))
+    assert find("machine-4/recordings", "a/1.mcap") == tmp_path / "cloud-0" / "recordings" / "a" / "1.mcap"
+    assert find("machine-9/recordings", "a/1.mcap") is None
+    assert find("machine-5/recordings", "a/1.mcap") is None
 
 
 def test_what_a_kind_of_cluster_cannot_give_is_said_and_reported() -> None:
@@ -418,6 +411,65 @@ def test_what_a_kind_of_cluster_cannot_give_is_said_and_reported() -> None:
     provider = SimpleNamespace(kind="other", lacks=("nodes have no outages",))
     assert running.lacking(provider, said.append) == ["a cluster of kind other: nodes have no outages"]  # type: ignore[arg-type]
     assert said == ["warning: a cluster of kind other: nodes have no outages"]
+
+
+def test_nodes_of_other_names_are_those_of_the_same_agents(scenario: definition.Scenario) -> None:
+    def state(name: str, agent: str, ready: bool = True) -> NodeState:
+        return NodeState(name, "", agent, "", ready)
+
+    there = [state(f"machine-{number}", node.agent) for number, node in enumerate(scenario.nodes)]
+    other = SimpleNamespace(name="theirs", nodes=lambda: there)
+    names = needs.nodes_by_name(scenario, other)  # type: ignore[arg-type]
+    assert names == {node.name: f"machine-{number}" for number, node in enumerate(scenario.nodes)}
+    there[0] = replace(there[0], ready=False)
+    with pytest.raises(waiting.RunError, match=f"cluster theirs has no ready node {scenario.nodes[0].name};"):
+        needs.nodes_by_name(scenario, other)  # type: ignore[arg-type]
+    two = replace(scenario, nodes=tuple(replace(scenario.nodes[0], name=name) for name in ("one", "two")))
+    agent = scenario.nodes[0].agent
+    there[:] = [state("two", agent), state("one", agent)]
+    assert needs.nodes_by_name(two, other) == {"one": "one", "two": "two"}  # type: ignore[arg-type]
+    del there[1]
+    with pytest.raises(waiting.RunError, match="has no ready node"):
+        needs.nodes_by_name(two, other)  # type: ignore[arg-type]
+
+
+STOPPED = read_steps([{"name": "the cloud is lost", "do": {"stop": "cloud-0"}}])
+
+
+@pytest.mark.parametrize(
+    ("variant", "steps", "named"),
+    [
+        ("mobile-network", (), "network gives the cable of vehicle-00 conditions; "),
+        ("small", STOPPED, r"step 'the cloud is lost' stops node cloud-0\. Choose another variant"),
+    ],
+)
+def test_a_scenario_that_needs_machines_is_refused_where_they_are_others(
+    variant: str, steps: tuple[Step, ...], named: str
+) -> None:
+    settled = replace(definition.load(FOLDER, variant=variant), steps=steps)
+    others: Any = SimpleNamespace(kind="other", machines=lambda: None)
+    with pytest.raises(InputError, match=f"does not run on a cluster of kind other, which did not make .*: {named}"):
+        needs.require_machines(settled, others)
+    needs.require_machines(settled, SimpleNamespace(kind="own", machines=lambda: others))  # type: ignore[arg-type]
+    needs.require_machines(replace(settled, steps=(), network={}), others)
+
+
+def test_where_nobody_counts_there_is_no_figure_and_the_run_begins_at_once() -> None:
+    sampler = cpu.CpuSampler(None)
+    sampler.start()
+    assert sampler.cores_used() is None
+    assert set(sampler.stop({})) <= {"scenario (observer, watch)"}
+    assert sampler.cores({}).components == {}
+
+
+def test_cables_that_are_others_are_left_as_they_are() -> None:
+    untouched = cables.UntouchedCables()
+    plain = cables.Cables(definition.load(FOLDER), untouched, print)
+    plain.check()
+    plain.begin()
+    assert plain.finish() == ()
+    with pytest.raises(SetUpError, match="the cables of vehicle-00"):
+        cables.Cables(definition.load(FOLDER, variant="mobile-network"), untouched, print).check()
 
 
 def test_the_commands_to_look_around_are_whole(scenario: definition.Scenario) -> None:
@@ -430,6 +482,9 @@ def test_the_commands_to_look_around_are_whole(scenario: definition.Scenario) ->
     [clone] = [command for command in by_tls.values() if "git" in command and "clone" in command]
     assert all(part in clone for part in ("-c http.sslCAInfo=robotkube-ca.crt", "@10.96.0.9:3000/", '"https://'))
     assert r"jsonpath='{.data.ca\.crt}' > robotkube-ca.crt" in by_tls["who signed the forge's certificate"]
+    assert "port-forward" not in text
+    forwarded = inspection.lines(scenario, Path("kubeconfig"), Endpoint("localhost", 3000), "kubectl port-forward it")
+    assert "  kubectl port-forward it" in forwarded
 
 
 @pytest.mark.parametrize(

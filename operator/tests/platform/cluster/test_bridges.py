@@ -42,7 +42,7 @@ def test_no_pose_was_lost_while_topics_changed(platform: Platform, story: Story)
     message of the run, over the deployment and the withdrawal."""
     for agent in platform.scenario.vehicles:
         topic = pose_topic(agent)
-        file = collecting.ledger_file(platform.provider.volume_path(agent, "bags"), story.report["run"], topic)
+        file = platform.provider.volume_path(agent, "bags") / collecting.ledger_file(story.report["run"], topic)
         played = len(storage.ledger(json.loads(line) for line in file.read_text().splitlines()))
         assert played >= 1000
         assert received(story, topic) == played, topic

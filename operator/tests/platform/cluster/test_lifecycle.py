@@ -95,7 +95,10 @@ class Aged:
     def _recordings(self) -> list[Any]:
         """All messages of the recording, read back from database and segments."""
         platform = self.platform
-        stored = collecting.stored(platform.access, platform.scenario, platform.provider, self.seen["events"])[1]
+        agents = {node.name: node.agent for node in platform.scenario.nodes}
+        with platform.provider.volumes() as volumes:
+            find = collecting.segment_finder(agents, volumes)
+            stored = collecting.stored(platform.access, platform.scenario, find, self.seen["events"])[1]
         return sorted((message.topic, message.stamp, message.sha256) for message in stored)
 
 
