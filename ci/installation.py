@@ -17,7 +17,7 @@ from typing import Any
 
 import yaml
 
-from ci import evidence, toolchain
+from ci import evidence, given_argocd, toolchain
 from ci.client_certificates import client_certificate
 from ci.cluster.provider import ChartProfile, ServicePort
 from ci.cluster.topology import Topology, chart_agents
@@ -25,6 +25,8 @@ from ci.errors import SetUpError
 from ci.folders import PROJECT
 from ci.images.services import SERVICE_NAMES
 from gitops.argocd import render
+from robotkube.delivery.preflight.core.argocd import DEFINITIONS, ArgoCd
+from robotkube.delivery.preflight.core.argocd import argocd as judge_argocd
 
 NAMESPACE, GATE, ARGOCD = "robotkube", "robotkube-gate", "argocd"  # of the release, of its gate alone, of Argo CD
 CHART = PROJECT / "charts" / "robotkube"
@@ -69,16 +71,46 @@ class Installer:
             raise SetUpError(f"{program} {' '.join(arguments[:4])}: {done.stderr.strip()[-1500:]}")
         return done.stdout
 
-    def argocd(self, references: Mapping[str, str]) -> None:
-        """Apply Argo CD's own manifests, with our images, and wait until its definitions are known."""
+    def argocd(self, references: Mapping[str, str]) -> str:
+        """Apply Argo CD's own manifests, with our images, and wait until its definitions are known. One that somebody
+        else has installed stays as it is. Returns what there is to say."""
+        if self.profile.added and self._argocd_is_given():
+            return self.argocd_of_others()
         source = toolchain.module_dir("github.com/argoproj/argo-cd/v3") / "manifests" / "install.yaml"
-        manifests = render.render(source.read_text(encoding="utf-8"), references)
+        pulled = {name: moved(reference, self.profile.registry) for name, reference in references.items()}
+        manifests = render.render(source.read_text(encoding="utf-8"), pulled)
         self.namespace(ARGOCD, RESTRICTED)
         self.repo_server_clients()
         apply = ("apply", "--server-side", "--force-conflicts", "-n", ARGOCD, "-f", "-")
         self.kubectl(*apply, text=manifests, seconds=120)
         kinds = [f"crd/{kind}.argoproj.io" for kind in ("applications", "applicationsets", "appprojects")]
         self.kubectl("wait", "--for=condition=Established", "--timeout=60s", *kinds, seconds=70)
+        return ""
+
+    def argocd_of_others(self) -> str:
+        """Keep what the platform will write into an Argo CD that was there, and say which it is; SetUpError names what
+        it lacks to be used."""
+        kinds = ("deployments,statefulsets", "-l", "app.kubernetes.io/part-of=argocd")
+        workloads = json.loads(self.kubectl("-n", ARGOCD, "get", *kinds, "-o", "json"))["items"]
+        verdict = judge_argocd(ArgoCd(ARGOCD, self._definitions_of_argocd(), workloads))
+        wrong = [*(f"{one.what}: {one.fix}" for one in verdict.problems), *filter(None, [verdict.unseen])]
+        if wrong:
+            raise SetUpError(f"namespace {ARGOCD} was not made here, and its Argo CD is not used: {'; '.join(wrong)}")
+        self.namespace(NAMESPACE, RESTRICTED)
+        given_argocd.keep(self.kubectl)
+        return f"{verdict.says}, which was there"
+
+    def _argocd_is_given(self) -> bool:
+        """Whether there is one that was not made here."""
+        found = json.loads(self.kubectl("get", "namespace", ARGOCD, "--ignore-not-found", "-o", "json") or "{}")
+        if not found:
+            return bool(self._definitions_of_argocd())
+        return not self.profile.added.items() <= found["metadata"].get("annotations", {}).items()
+
+    def _definitions_of_argocd(self) -> frozenset[str]:
+        names = (f"crd/{name}" for name in DEFINITIONS)
+        found = self.kubectl("get", *names, "--ignore-not-found", "-o", "name")
+        return frozenset(line.rpartition("/")[2] for line in found.split())
 
     def repo_server_clients(self) -> None:
         """The Secret with the certificate without which Argo CD's repo-server answers nobody; one that is there stays,
@@ -100,7 +132,7 @@ class Installer:
 
     def namespace(self, name: str, labels: Mapping[str, str], annotations: Mapping[str, str] = NO_VALUES) -> None:
         """A namespace with labels and annotations, whether it is there or not."""
-        metadata = {"name": name, "labels": dict(labels), "annotations": dict(annotations)}
+        metadata = {"name": name, "labels": dict(labels), "annotations": {**annotations, **self.profile.added}}
         namespace = {"apiVersion": "v1", "kind": "Namespace", "metadata": metadata}
         self.kubectl("apply", "--server-side", "--force-conflicts", "-f", "-", text=yaml.safe_dump(namespace))
 
@@ -121,8 +153,7 @@ class Installer:
         self.work.mkdir(parents=True, exist_ok=True)
         self.namespace(NAMESPACE, RESTRICTED)
         given = {
-            **platform_values(references, topology),
-            **self.profile.values,
+            **merged(platform_values(references, topology), self.profile.values),
             "evidence": self.signing_key(),
             **values,
         }
@@ -203,6 +234,22 @@ class Installer:
         except SetUpError as error:
             return f"(state of {namespace} cannot be read: {error})"
         return "\n".join(lines)
+
+
+def moved(reference: str, registry: str) -> str:
+    """An image reference as the cluster pulls it: what stands before its last slash is the registry's HOST/PATH."""
+    return f"{registry}/{reference.rpartition('/')[2]}" if registry else reference
+
+
+def merged(values: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
+    """Values with others upon them, as Helm does it with files of values."""
+    both = {key: (values[key], others[key]) for key in values.keys() & others.keys()}
+    inner = {
+        key: merged(one, other)
+        for key, (one, other) in both.items()
+        if isinstance(one, Mapping) and isinstance(other, Mapping)
+    }
+    return {**values, **others, **inner}
 
 
 def chosen_volumes(claims: Sequence[Mapping[str, Any]], volumes: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -79,8 +79,8 @@ def bring_up(request: Request, steps: Steps) -> Installer:
     installer = Installer(binaries, kubeconfig, provider.work(), provider.chart_profile())
     if request.until == "cluster":
         return installer
-    with steps.step("Argo CD"):
-        installer.argocd(prepared.references())
+    with steps.step("Argo CD") as step:
+        step.note = installer.argocd(prepared.references())
     with steps.step("platform") as step:
         installer.platform(prepared.references(), wanted, values=request.values)
         step.progress(where_to_look(installer, provider))

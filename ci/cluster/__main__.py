@@ -98,7 +98,7 @@ def take(given: Existing, dry_run: bool) -> None:
     if dry_run:
         print("\n".join(given.planned()) or f"cluster {given.name}: nothing would be written")
         return
-    written = given.up()
+    written = given.take()
     lines = [f"cluster {given.name}: {len(written) or 'no'} Nodes changed", *(f"  {line}" for line in written)]
     print("\n".join([*lines, *(f"  not given: {text}" for text in given.lacks)]))
     print(f"values for the platform's chart: {given.values_file}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,14 +11,15 @@ from pathlib import Path
 from ci.cluster import cleaning
 from ci.cluster.addresses import PLANS
 from ci.cluster.embedded import Embedded
-from ci.cluster.existing.provider import Existing, GivenCluster
+from ci.cluster.existing.nodes import GivenCluster
+from ci.cluster.existing.provider import Existing
 from ci.cluster.provider import NodesProvider, Provider
 from ci.errors import InputError
 
 NAME = "demo"
 OFFERED = {
     Embedded.kind: "made of this machine's processes; runs everything",
-    Existing.kind: "a cluster that somebody else made; its Nodes become agents' (make nodes)",
+    Existing.kind: "a cluster that somebody else made; its Nodes become agents', until make down",
 }
 """Kinds of clusters, and what each is."""
 
@@ -40,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     given.add_argument("--context", default="", help="of the kubeconfig (default: its current one)")
     given.add_argument("--registry", default="", metavar="HOST/PATH", help="where the cluster pulls the images")
     given.add_argument("--agents", type=Path, default=GivenCluster.agents, metavar="FILE", help="which Nodes are whose")
+    given.add_argument("--values", type=Path, metavar="FILE", help="further values of the platform's chart")
     given.add_argument("--yes", action="store_true", help="what is written is agreed to; nobody is asked")
 
 
@@ -48,20 +51,30 @@ def choice(given: argparse.Namespace) -> Choice:
     if given.cluster not in OFFERED:
         there = "; ".join(f"{kind}: {what}" for kind, what in OFFERED.items())
         raise InputError(f"CLUSTER={given.cluster}: there is no such kind of cluster; there is {there}")
-    reached = GivenCluster(given.kubeconfig, given.context, given.registry, given.agents, given.yes)
+    reached = GivenCluster(given.kubeconfig, given.context, given.registry, given.agents, given.values, given.yes)
     return Choice(given.name, given.cluster, reached)
 
 
 def provider(chosen: Choice, binaries: Path = Path()) -> Provider:
-    """The cluster, for an installation and for scenarios; InputError where there is only a part of it."""
+    """The cluster, for an installation and for scenarios; InputError where that was not proven yet. `binaries`: the
+    tool chain's folder, for one that is made."""
     if chosen.kind == Existing.kind:
-        raise InputError("\n".join((f"CLUSTER={chosen.kind} goes as far as `make nodes`:", *Existing.lacks)))
+        raise InputError(
+            f"CLUSTER={chosen.kind} goes as far as `make nodes`: installing the platform and running a scenario on it "
+            "was not proven on a cluster yet; the platform is installed with helm"
+        )
     return Embedded(chosen.name, binaries)
 
 
 def nodes_provider(chosen: Choice) -> NodesProvider:
     """The cluster, for its Nodes alone."""
-    return Existing(chosen.given) if chosen.kind == Existing.kind else provider(chosen)
+    return _existing(chosen.given) if chosen.kind == Existing.kind else provider(chosen)
+
+
+@functools.cache
+def _existing(given: GivenCluster) -> Existing:
+    """One in each process: it has ways to the cluster's Services open."""
+    return Existing(given)
 
 
 def remove_running(say: Callable[[str], None]) -> None:

@@ -29,10 +29,14 @@ class NodeState:
 @dataclass(frozen=True)
 class ChartProfile:
     """What the platform's chart is told on a kind of cluster: files of values in the chart's folder, and values upon
-    these."""
+    these. `registry`: HOST/PATH from which the cluster pulls images; empty: by the names that they were built with.
+    `added` are annotations of namespaces that are made before the chart: where there are any, the cluster was not made
+    here, and what has not got them is somebody else's."""
 
     files: tuple[str, ...] = ()
     values: Mapping[str, Any] = field(default_factory=dict)
+    registry: str = ""
+    added: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

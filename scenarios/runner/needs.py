@@ -7,10 +7,11 @@ from collections.abc import Mapping
 
 from ci.cluster.provider import NodeState, Provider
 from ci.errors import InputError
-from scenarios.definition import Scenario
+from scenarios.definition import Node, Scenario
 from scenarios.runner.acting import describe
 from scenarios.runner.waiting import RunError
 
+PLATFORM = "platform"  # role
 OF_MACHINES = ("stop", "start")  # actions of steps
 
 
@@ -31,13 +32,13 @@ def of_machines(scenario: Scenario) -> list[str]:
 
 
 def nodes_by_name(scenario: Scenario, provider: Provider) -> Mapping[str, str]:
-    """The cluster's node for each node of the scenario, by name: of the same agent, and ready. RunError names those
-    that are not there: the run would wait for players that cannot exist."""
+    """The cluster's node for each node of the scenario, by name: of the same agent, or the platform's as well, and
+    ready. RunError names those that are not there: the run would wait for players that cannot exist."""
     ready: dict[str, list[NodeState]] = defaultdict(list)
     for node in provider.nodes():
         if node.ready:
-            ready[node.agent].append(node)
-    found = {wanted.name: _taken(wanted.name, ready[wanted.agent]) for wanted in scenario.nodes}
+            ready[_owner(node)].append(node)
+    found = {wanted.name: _taken(wanted.name, ready[_owner(wanted)]) for wanted in scenario.nodes}
     missing = [name for name, node in found.items() if not node]
     if missing:
         raise RunError(
@@ -45,6 +46,11 @@ def nodes_by_name(scenario: Scenario, provider: Provider) -> Mapping[str, str]:
             "vehicles=..., or give the run the number of vehicles that the cluster has"
         )
     return found
+
+
+def _owner(node: NodeState | Node) -> str:
+    """Whose a node is; the platform is nobody's namespace, so its agent may have any name."""
+    return "" if node.role == PLATFORM else node.agent
 
 
 def _taken(wanted: str, ready: list[NodeState]) -> str:

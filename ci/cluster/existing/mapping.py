@@ -10,16 +10,17 @@ An entry means the Node of that name, or every Node with these labels. Every ref
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from ci.cluster.topology import LABEL, agent_labels
+from ci.cluster.topology import LABEL, NodeSpec, Topology, agent_labels
 from ci.errors import InputError
 
+PLATFORM = "platform"  # a role whose agent may have any name
 KEYS = {"node", "selector", "role", "agent", "capabilities"}
 EXAMPLE = "agents: [{node: worker-1, role: vehicle, agent: vehicle-00, capabilities: [lidar]}]"
 
@@ -60,6 +61,38 @@ def read(path: Path) -> tuple[AgentEntry, ...]:
     if not isinstance(entries, list) or not entries:
         raise InputError(f"{path}: agents: must be a list with at least one entry, for example: {EXAMPLE}")
     return tuple(_entry(f"{path}: agents[{number}]", entry) for number, entry in enumerate(entries))
+
+
+def require_agents(entries: Sequence[AgentEntry], topology: Topology) -> None:
+    """InputError names the agents of a scenario that have no entry of their role with what they are capable of."""
+    lacking = {node.agent: node for node in topology.nodes if not any(_is(entry, node) for entry in entries)}
+    if lacking:
+        wanted = (f"{one.agent} (role {one.role}{_capable(one)})" for one in lacking.values())
+        raise InputError(
+            f"agents.yaml: the scenario needs Nodes of {', '.join(wanted)}; add them, or take fewer: --set"
+        )
+
+
+def _is(entry: AgentEntry, node: NodeSpec) -> bool:
+    same_agent = entry.agent == node.agent or node.role == PLATFORM
+    return same_agent and entry.role == node.role and set(node.capabilities) <= set(entry.capabilities)
+
+
+def _capable(node: NodeSpec) -> str:
+    return f", capabilities [{', '.join(node.capabilities)}]" if node.capabilities else ""
+
+
+def read_values(path: Path) -> dict[str, Any]:
+    """Values of the platform's chart in a file; InputError."""
+    try:
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"VALUES={path}: cannot be read ({error.strerror})") from error
+    except yaml.YAMLError as error:
+        raise InputError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
+    if not isinstance(document, dict):
+        raise InputError(f"{path}: must be a mapping, as a file of values for charts/robotkube is")
+    return document
 
 
 def _entry(where: str, entry: Any) -> AgentEntry:

@@ -1,178 +1,232 @@
-"""The Nodes of a given cluster: they are read, become agents' when a person has agreed, and are given back."""
+"""A cluster that somebody else made: its Nodes become agents' when a person has agreed, the platform is installed on
+it, scenarios run there, and everything that was added is taken away again."""
 
 from __future__ import annotations
 
+import functools
 import re
-import sys
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+import subprocess
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import yaml
-from kubernetes import client, config
-from urllib3.exceptions import HTTPError
 
+from ci import toolchain
 from ci.cluster import images, status
-from ci.cluster.existing import labels, mapping, registry
-from ci.cluster.existing.labels import Change, GivenNode
-from ci.cluster.provider import NodeState
-from ci.cluster.topology import chart_agents
+from ci.cluster.existing import labels, mapping, registry, removing
+from ci.cluster.existing.forwards import HOST, Forwards
+from ci.cluster.existing.nodes import Ask, GivenCluster, GivenNodes
+from ci.cluster.existing.pod_volumes import PodVolumes
+from ci.cluster.images import Image
+from ci.cluster.provider import ChartProfile, NodeState, ServicePort, WayOfAPerson
+from ci.cluster.topology import Topology, chart_agents
 from ci.errors import InputError, SetUpError
-from ci.folders import user_cache
+from ci.folders import PROJECT, user_cache
+from ci.installation import ARGOCD, GATE, NAMESPACE, Installer, merged, moved
 
-CONFLICT = 409
-ATTEMPTS_MAX = 5  # at a Node that somebody else writes to meanwhile
-ANSWER_SECONDS_MAX = 10
-Ask = Callable[[str], bool]
-
-
-@dataclass(frozen=True)
-class GivenCluster:
-    """How a given cluster is reached, and what it is to be. `kubeconfig` and `context` may be empty: those of kubectl;
-    `registry`: HOST/PATH from which it pulls, or empty; `agents`: the file agents.yaml; `agreed`: nobody is asked."""
-
-    kubeconfig: str = ""
-    context: str = ""
-    registry: str = ""
-    agents: Path = Path("agents.yaml")
-    agreed: bool = False
+ADDED = {"robotkube.io/added": "demo"}  # annotation of namespaces that are made before the chart
+OF_BUILT_IMAGES = PROJECT / "charts" / "robotkube" / "values-embedded.yaml"
+COMMAND_SECONDS_MAX = 60
 
 
 class Existing:
-    """One cluster that is there. `ask` shows a person what would be written, and gives the answer."""
+    """One cluster that is there. `ask` shows a person what would be written, and gives the answer; `binaries`: the tool
+    chain's folder, which is looked for when nobody names it."""
 
     kind = "existing"
     lacks = (
-        "its Nodes become agents', and are given back; the platform is installed with helm, as docs/how-to/"
-        "use-a-cluster-that-is-there.md says",
-        "a scenario does not run on it: its bags and ledgers are read from folders of volumes on this machine",
+        "application charts name images as they were built: Nodes find these by a mirror of that name "
+        "(docs/how-to/use-a-cluster-that-is-there.md), and what publishers push to the forge is not pulled",
+        "bags and ledgers are copied by pods in the agents' namespaces, which the inspector names while they are there",
         "Nodes of the role platform get no taint: pods of others may run beside the platform's",
-        "weights of Nodes, outages, conditions of the network and admission from files are not there: the machines are "
-        "not this provider's",
+        "weights and outages of Nodes, conditions of the network, CPU time and admission from files are not there: the "
+        "machines are not this provider's",
     )
 
-    def __init__(self, given: GivenCluster, ask: Ask | None = None) -> None:
+    def __init__(self, given: GivenCluster, ask: Ask | None = None, binaries: Path = Path()) -> None:
         self._given = given
-        self._ask = ask or ask_on_terminal
-        self._api = _connected(given)
+        self._nodes = GivenNodes(given, ask)
+        self._named_binaries = binaries
 
     @property
     def name(self) -> str:
         """The context, which names a cluster for a person."""
-        if self._given.context:
-            return self._given.context
-        return str(config.list_kube_config_contexts(self._given.kubeconfig or None)[1]["name"])
+        return self._nodes.context
 
     @property
     def values_file(self) -> Path:
-        """Values for the platform's chart on this cluster."""
-        return user_cache() / "existing" / re.sub(r"[^A-Za-z0-9.-]", "_", self.name) / "values.yaml"
+        """Values for the platform's chart on this cluster, for who installs it without the demo."""
+        return self.work() / "values.yaml"
 
-    def up(self) -> tuple[str, ...]:
+    def take(self) -> tuple[str, ...]:
         """Make Nodes those of agents.yaml; what was written, a line for each Node. Values for the chart are written to
         `values_file`."""
-        entries = mapping.read(self._given.agents)
-        values = yaml.safe_dump(self._values(entries))
-        if self._given.registry:
-            registry.require(self._given.registry, images.read_lock(images.lock_file()))
-        written = self._write(lambda nodes: labels.adding(nodes, entries))
+        entries = self._entries()
+        written = self._take(entries, ())
         self.values_file.parent.mkdir(parents=True, exist_ok=True)
-        self.values_file.write_text(values, encoding="utf-8")
+        values = {key: value for key, value in self._values(entries).items() if key in ("agents", "global")}
+        self.values_file.write_text(yaml.safe_dump(values), encoding="utf-8")
         return written
 
     def planned(self) -> tuple[str, ...]:
-        """What `up` would write, a line for each Node."""
-        entries = mapping.read(self._given.agents)
-        return tuple(map(str, labels.adding([_given_node(one) for one in self._listed()], entries)))
+        """What `take` would write, a line for each Node."""
+        entries = self._entries()
+        return tuple(map(str, self._nodes.planned(lambda nodes: labels.adding(nodes, entries))))
+
+    def up(self, topology: Topology, wanted: Sequence[Image]) -> None:
+        """See Provider.up: its Nodes are taken, and whatever the installation adds is agreed to."""
+        if not self._given.registry:
+            raise InputError("REGISTRY=HOST/PATH is needed: from there the cluster pulls the platform's images")
+        entries = self._entries()
+        mapping.require_agents(entries, topology)
+        self._take(entries, self._to_install(), wanted)
 
     def down(self) -> tuple[str, ...]:
-        """See NodesProvider.down."""
-        written = self._write(labels.removing)
-        self.values_file.unlink(missing_ok=True)
-        return written
+        """See NodesProvider.down: first what was installed, then the labels of Nodes."""
+        there = [name for name in (NAMESPACE, GATE, ARGOCD) if self._is_added(self._nodes.namespace(name))]
+        changes = self._nodes.planned(labels.removing)
+        if there or changes:
+            goes = [f"what was installed goes, with namespaces {', '.join(there)} and those of agents"] if there else []
+            self._nodes.agree([*goes, *changes])
+        removed = removing.remove(self._installer(), ADDED) if there else ()
+        written = self._nodes.write(labels.removing, changes)
+        for file in (self.values_file, self.work() / "kubeconfig"):
+            file.unlink(missing_ok=True)
+        return (*removed, *written)
 
     def kept(self) -> tuple[str, ...]:
         """See NodesProvider.kept."""
-        return ("the cluster itself, and what helm has installed on it",)
+        return ("the cluster itself", "PersistentVolumes whose class retains them")
 
     def nodes(self) -> tuple[NodeState, ...]:
         """See NodesProvider.nodes: those that are agents', by name."""
-        states = (status.node_state(one) for one in self._listed())
-        return tuple(sorted((one for one in states if one.agent), key=lambda one: one.name))
+        return self._nodes.states()
 
     def status(self) -> str:
         """See NodesProvider.status."""
         return status.nodes_table(self.nodes())
 
-    def _values(self, entries: Sequence[mapping.AgentEntry]) -> dict[str, Any]:
-        values: dict[str, Any] = {"agents": chart_agents(entries)}
-        if self._given.registry:
-            values["global"] = {"imageRegistry": str(registry.place_of(self._given.registry))}
-        return values
+    def work(self) -> Path:
+        """See Provider.work."""
+        return user_cache() / "existing" / re.sub(r"[^A-Za-z0-9.-]", "_", self.name)
 
-    def _write(self, plan: Callable[[Sequence[GivenNode]], tuple[Change, ...]]) -> tuple[str, ...]:
-        """Write what the plan says of the Nodes as they are, until it says nothing more. Whatever is written was agreed
-        to."""
-        agreed: dict[str, Change] = {}
-        for _ in range(ATTEMPTS_MAX):
-            listed = self._listed()
-            changes = plan([_given_node(one) for one in listed])
-            if not changes:
-                return tuple(map(str, agreed.values()))
-            if any(agreed.get(change.node) != change for change in changes):
-                self._agree(changes)
-                agreed |= {change.node: change for change in changes}
-            versions = {one["metadata"]["name"]: one["metadata"]["resourceVersion"] for one in listed}
-            for change in changes:
-                self._patch(change, versions[change.node])
-        raise SetUpError(f"context {self.name}: Nodes change faster than they can be written; try again")
+    def kubeconfig(self) -> Path:
+        """See Provider.kubeconfig: a file with the one context alone."""
+        return self._kubeconfig
 
-    def _agree(self, changes: Sequence[Change]) -> None:
-        host = self._api.configuration.host
-        asked = "\n  ".join(
-            [f"context {self.name} ({host}) was not made here. This would be written:", *map(str, changes)]
-        )
-        if not self._given.agreed and not self._ask(asked):
-            raise InputError(f"context {self.name}: nothing was written, since nobody agreed; YES=1 agrees beforehand")
+    @functools.cached_property
+    def _kubeconfig(self) -> Path:
+        given, context = self._given.kubeconfig, self._given.context
+        chosen = [*(["--kubeconfig", given] if given else []), *(["--context", context] if context else [])]
+        command = [str(self._binaries / "kubectl"), "config", "view", "--minify", "--flatten", "--raw", *chosen]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=COMMAND_SECONDS_MAX, check=False)
+        if done.returncode:
+            raise SetUpError(f"kubectl config view: {done.stderr.strip()}")
+        self.work().mkdir(parents=True, exist_ok=True)
+        file = self.work() / "kubeconfig"
+        file.touch(mode=0o600)
+        file.write_text(done.stdout, encoding="utf-8")
+        return file
 
-    def _listed(self) -> list[Mapping[str, Any]]:
-        answer = self._call("Nodes", client.CoreV1Api(self._api).list_node)
-        return [self._api.sanitize_for_serialization(one) for one in answer.items]
+    def chart_profile(self) -> ChartProfile:
+        """See Provider.chart_profile."""
+        return ChartProfile((), self._values(self._entries()), self._place(), ADDED)
 
-    def _patch(self, change: Change, version: str) -> None:
-        """Write a change to a Node that is as it was read; nothing where somebody else was faster."""
-        metadata = {"resourceVersion": version, "labels": change.labels, "annotations": change.annotations}
-        patch = client.CoreV1Api(self._api).patch_node
-        self._call(f"Node {change.node}", patch, change.node, {"metadata": metadata}, passing=CONFLICT)
+    def reach(self, service: ServicePort) -> tuple[str, int]:
+        """See Provider.reach."""
+        return self._forwards.address(service)
 
-    def _call(self, what: str, function: Any, *arguments: Any, passing: int = 0) -> Any:
+    @functools.cached_property
+    def _forwards(self) -> Forwards:
+        return Forwards(self._kubectl)
+
+    def way_of_a_person(self, service: ServicePort) -> WayOfAPerson:
+        """See Provider.way_of_a_person."""
+        where = f"kubectl --kubeconfig {self.kubeconfig()} -n {service.namespace}"
+        command = f"{where} port-forward service/{service.name} {service.port}:{service.port}"
+        return WayOfAPerson(HOST, service.port, command)
+
+    @contextmanager
+    def volumes(self) -> Iterator[PodVolumes]:
+        """See Provider.volumes."""
+        [image] = [one for one in images.read_lock(images.lock_file()) if one.name == "platform"]
+        secrets = self._values(self._entries()).get("imagePullSecrets", [])
+        used = PodVolumes(self._kubectl, moved(image.reference, self._place()), self.work(), secrets)
         try:
-            return function(*arguments, _request_timeout=ANSWER_SECONDS_MAX)
-        except client.ApiException as error:
-            if error.status == passing:
-                return None
-            raise SetUpError(f"context {self.name}: {what}: {error.status} {error.reason}: {error.body}") from error
-        except (HTTPError, OSError) as error:
-            raise SetUpError(f"context {self.name}: {self._api.configuration.host} does not answer: {error}") from error
+            yield used
+        finally:
+            used.end()
 
+    def machines(self) -> None:
+        """See Provider.machines: they are others'."""
 
-def ask_on_terminal(text: str) -> bool:
-    """Ask the person at the terminal; without one, nobody agrees."""
-    print(text, file=sys.stderr)
-    return sys.stdin.isatty() and input("Write it? [y/N] ").strip().lower() in ("y", "yes")
+    @property
+    def _binaries(self) -> Path:
+        return self._named_binaries if self._named_binaries != Path() else toolchain.ensure().binaries
 
+    @property
+    def _kubectl(self) -> list[str]:
+        return [str(self._binaries / "kubectl"), "--kubeconfig", str(self.kubeconfig())]
 
-def _connected(given: GivenCluster) -> client.ApiClient:
-    try:
-        api: client.ApiClient = config.new_client_from_config(given.kubeconfig or None, given.context or None)
-    except config.ConfigException as error:
-        named = given.kubeconfig or "kubectl's kubeconfig"
-        raise InputError(f"{named}: {str(error).rstrip('.')}; give KUBECONFIG and CONTEXT") from error
-    api.configuration.retries = False
-    return api
+    def _installer(self) -> Installer:
+        return Installer(self._binaries, self.kubeconfig(), self.work(), ChartProfile(added=ADDED))
 
+    def _entries(self) -> tuple[mapping.AgentEntry, ...]:
+        return mapping.read(self._given.agents)
 
-def _given_node(item: Mapping[str, Any]) -> GivenNode:
-    metadata = item["metadata"]
-    return GivenNode(metadata["name"], metadata.get("labels", {}), metadata.get("annotations", {}))
+    def _place(self) -> str:
+        return str(registry.place_of(self._given.registry)) if self._given.registry else ""
+
+    def _values(self, entries: Sequence[mapping.AgentEntry]) -> dict[str, Any]:
+        """What the chart is told of agents, registry and images that were built here, and upon it what the file of
+        values says."""
+        built = yaml.safe_load(OF_BUILT_IMAGES.read_text(encoding="utf-8"))
+        own = {
+            "agents": chart_agents(entries),
+            "platform": {"nodeSelector": {"robotkube.io/role": "platform"}},
+            "gate": {"localBuilds": True},
+            "database": {key: built["database"][key] for key in ("kind", "arguments")},
+            "forge": {"staticRootPath": built["forge"]["staticRootPath"]},
+            **({"global": {"imageRegistry": self._place()}} if self._given.registry else {}),
+        }
+        return merged(own, mapping.read_values(self._given.values)) if self._given.values else own
+
+    def _take(
+        self, entries: Sequence[mapping.AgentEntry], also: Sequence[str], wanted: Sequence[Image] | None = None
+    ) -> tuple[str, ...]:
+        """Write the labels of Nodes, once this and what comes `also` was agreed to."""
+
+        def plan(nodes: Sequence[labels.GivenNode]) -> tuple[labels.Change, ...]:
+            return labels.adding(nodes, entries)
+
+        if self._given.registry:
+            built = images.read_lock(images.lock_file()) if wanted is None else wanted
+            registry.require(self._given.registry, built)
+        changes = self._nodes.planned(plan)
+        if changes or also:
+            self._nodes.agree([*changes, *also])
+        return self._nodes.write(plan, changes)
+
+    def _to_install(self) -> list[str]:
+        """What an installation adds, in words; nothing once it has begun. InputError where somebody else has one."""
+        found = self._nodes.namespace(NAMESPACE)
+        if self._is_added(found):
+            return []
+        if found:
+            raise InputError(
+                f"context {self.name}: namespace {NAMESPACE} is there and was not made here; its platform is upgraded "
+                "with helm, or taken away first"
+            )
+        return [
+            f"namespaces {NAMESPACE}, {GATE}, those of agents and of suites; the Helm release {NAMESPACE} with its "
+            "definitions and roles of the whole cluster",
+            f"Argo CD in namespace {ARGOCD} with its definitions, where there is none; one that is there gets an "
+            "account, secrets of hooks, and a closed project default, until make down",
+        ]
+
+    @staticmethod
+    def _is_added(namespace: Mapping[str, Any]) -> bool:
+        annotations: Mapping[str, str] = namespace.get("metadata", {}).get("annotations", {})
+        return ADDED.items() <= annotations.items()

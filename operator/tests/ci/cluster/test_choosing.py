@@ -10,7 +10,7 @@ import pytest
 from ci.cluster import choosing
 from ci.cluster.choosing import Choice
 from ci.cluster.embedded import Embedded
-from ci.cluster.existing.provider import GivenCluster
+from ci.cluster.existing.nodes import GivenCluster
 from ci.errors import InputError
 
 
@@ -29,8 +29,8 @@ def test_without_a_word_it_is_the_one_that_needs_nothing() -> None:
 
 def test_how_a_cluster_that_is_there_is_reached() -> None:
     words = ("--kubeconfig", "k", "--context", "c", "--registry", "example.com/r", "--agents", "a.yaml", "--yes")
-    given = GivenCluster("k", "c", "example.com/r", Path("a.yaml"), agreed=True)
-    assert chosen("--cluster", "existing", *words) == Choice("demo", "existing", given)
+    given = GivenCluster("k", "c", "example.com/r", Path("a.yaml"), Path("v.yaml"), agreed=True)
+    assert chosen("--cluster", "existing", *words, "--values", "v.yaml") == Choice("demo", "existing", given)
 
 
 @pytest.mark.parametrize("kind", ["kind", "k3s", ""])
@@ -41,7 +41,7 @@ def test_kinds_that_are_not_offered_are_refused_with_those_that_are(kind: str) -
 
 def test_what_a_kind_cannot_run_is_said_before_anything_begins() -> None:
     with pytest.raises(
-        InputError, match=r"CLUSTER=existing goes as far as `make nodes`:\n(.*\n)*a scenario does not run"
+        InputError, match=r"CLUSTER=existing goes as far as `make nodes`: .* not proven on a cluster yet"
     ):
         choosing.provider(chosen("--cluster", "existing"))
 

@@ -11,9 +11,10 @@ import pytest
 import yaml
 
 from ci.cluster import __main__ as commands
-from ci.cluster.existing import provider as existing
+from ci.cluster.existing import nodes as existing
 from ci.cluster.existing.labels import ADDED
-from ci.cluster.existing.provider import Existing, GivenCluster
+from ci.cluster.existing.nodes import GivenCluster, GivenNodes
+from ci.cluster.existing.provider import Existing
 from ci.errors import InputError, SetUpError
 from tests.stages.kubernetes.api_calls import Api
 from tests.stages.kubernetes.api_server import ApiServerProcess
@@ -76,7 +77,7 @@ def test_what_was_added_goes_and_every_object_is_as_before(api: Api, given: Give
     before = everything(api)
     assert "/api/v1/nodes//given-1" in before
     cluster = Existing(given)
-    assert len(cluster.up()) == 2
+    assert len(cluster.take()) == 2
     assert labels(api, "given-1")["robotkube.io/role"] == "platform"
     assert labels(api, "given-2")["robotkube.io/agent"] == "vehicle-00"
     assert "robotkube.io/agent" not in labels(api, "given-3")
@@ -90,7 +91,7 @@ def test_what_was_added_goes_and_every_object_is_as_before(api: Api, given: Give
     assert yaml.safe_load(cluster.values_file.read_text()) == {
         "agents": [{"name": "vehicle-00", "role": "vehicle", "claims": [{"name": "bags", "size": "2Gi"}]}]
     }
-    assert cluster.up() == ()
+    assert cluster.take() == ()
     assert len(cluster.down()) == 2
     assert everything(api) == before
     assert not cluster.values_file.exists()
@@ -105,7 +106,7 @@ def test_nothing_is_written_until_somebody_agrees(api: Api, given: GivenCluster)
         return False
 
     with pytest.raises(InputError, match=r"nothing was written, since nobody agreed; YES=1"):
-        Existing(GivenCluster(given.kubeconfig, agents=given.agents), refuse).up()
+        Existing(GivenCluster(given.kubeconfig, agents=given.agents), refuse).take()
     [text] = asked
     assert "was not made here" in text
     assert "Node given-2: label robotkube.io/role = vehicle" in text
@@ -121,18 +122,18 @@ def test_who_writes_to_a_node_meanwhile_is_not_overrun(
     api: Api, given: GivenCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A Node changes between reading and writing: it is read again, and what the other one wrote stays."""
-    listed, turns = Existing._listed, []
+    listed, turns = GivenNodes._listed, []
 
-    def meanwhile(self: Existing) -> list[Mapping[str, Any]]:
+    def meanwhile(self: GivenNodes) -> list[Mapping[str, Any]]:
         nodes = listed(self)
         if not turns:
             turns.append(1)
             api.merge("/api/v1/nodes/given-1", {"metadata": {"labels": {"theirs": "new"}}})
         return nodes
 
-    monkeypatch.setattr(Existing, "_listed", meanwhile)
+    monkeypatch.setattr(GivenNodes, "_listed", meanwhile)
     cluster = Existing(given)
-    cluster.up()
+    cluster.take()
     assert labels(api, "given-1")["theirs"] == "new"
     assert labels(api, "given-1")["robotkube.io/agent"] == "platform"
     cluster.down()
@@ -143,7 +144,7 @@ def test_what_is_refused_has_changed_no_node(api: Api, given: GivenCluster) -> N
     api.merge("/api/v1/nodes/given-2", {"metadata": {"labels": {"robotkube.io/agent": "robot-7"}}})
     before = everything(api)
     with pytest.raises(InputError, match=r"Node given-2: has label robotkube.io/agent=robot-7"):
-        Existing(given).up()
+        Existing(given).take()
     assert everything(api) == before
 
 
@@ -157,7 +158,7 @@ def test_the_command_takes_nodes_and_gives_them_back(
     commands.run(commands.arguments().parse_args(["up", *words]))
     said = capsys.readouterr().out
     assert "2 Nodes changed" in said
-    assert "not given: a scenario does not run on it" in said
+    assert "not given: application charts name images" in said
     assert ADDED in api.get("/api/v1/nodes/given-1")["metadata"]["annotations"]
     commands.run(commands.arguments().parse_args(["down", *words]))
     assert "kept: the cluster itself" in capsys.readouterr().out
@@ -173,4 +174,4 @@ def test_a_context_that_is_not_there_and_one_that_does_not_answer(given: GivenCl
     away = tmp_path / "away"
     away.write_text(yaml.safe_dump(document))
     with pytest.raises(SetUpError, match=r"https://127.0.0.1:9 does not answer"):
-        Existing(GivenCluster(str(away), agents=given.agents)).up()
+        Existing(GivenCluster(str(away), agents=given.agents)).take()

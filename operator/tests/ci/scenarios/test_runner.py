@@ -415,17 +415,18 @@ def test_what_a_kind_of_cluster_cannot_give_is_said_and_reported() -> None:
 
 def test_nodes_of_other_names_are_those_of_the_same_agents(scenario: definition.Scenario) -> None:
     def state(name: str, agent: str, ready: bool = True) -> NodeState:
-        return NodeState(name, "", agent, "", ready)
+        return NodeState(name, "platform" if agent == "platform" else "", agent, "", ready)
 
-    there = [state(f"machine-{number}", node.agent) for number, node in enumerate(scenario.nodes)]
+    agents = ["platform" if node.role == "platform" else node.agent for node in scenario.nodes]
+    there = [state(f"machine-{number}", agent) for number, agent in enumerate(agents)]
     other = SimpleNamespace(name="theirs", nodes=lambda: there)
     names = needs.nodes_by_name(scenario, other)  # type: ignore[arg-type]
     assert names == {node.name: f"machine-{number}" for number, node in enumerate(scenario.nodes)}
     there[0] = replace(there[0], ready=False)
     with pytest.raises(waiting.RunError, match=f"cluster theirs has no ready node {scenario.nodes[0].name};"):
         needs.nodes_by_name(scenario, other)  # type: ignore[arg-type]
-    two = replace(scenario, nodes=tuple(replace(scenario.nodes[0], name=name) for name in ("one", "two")))
-    agent = scenario.nodes[0].agent
+    agent = scenario.nodes[-1].agent
+    two = replace(scenario, nodes=tuple(replace(scenario.nodes[-1], name=name) for name in ("one", "two")))
     there[:] = [state("two", agent), state("one", agent)]
     assert needs.nodes_by_name(two, other) == {"one": "one", "two": "two"}  # type: ignore[arg-type]
     del there[1]

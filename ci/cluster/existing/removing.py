@@ -1,0 +1,85 @@
+"""Takes away what an installation added to a cluster that was not made here: the Helm release and what it keeps, Argo
+CD if it came with it, and the namespaces; an Argo CD of others gets back what it had."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from ci import given_argocd
+from ci.errors import SetUpError
+from ci.installation import ARGOCD, HELMS_OWN, NAMESPACE, Installer
+from gitops.argocd.render import READER
+from robotkube.delivery.preflight.core.argocd import DEFINITIONS
+
+MANAGED = "app.kubernetes.io/managed-by=Helm"
+NAMESPACES = "Namespace"
+UNINSTALL_SECONDS_MAX, GONE_SECONDS_MAX, ANSWER_SECONDS_MAX = 300, 300, 120
+OF_ARGOCD = (
+    *(("CustomResourceDefinition", name) for name in DEFINITIONS),
+    ("ClusterRoleBinding", READER),
+    ("ClusterRole", READER),
+)
+Object = Mapping[str, Any]
+
+
+def remove(installer: Installer, added: Mapping[str, str]) -> tuple[str, ...]:
+    """Remove it, and wait until it is gone; a line for each thing. `added`: annotations of namespaces that were made
+    before the chart. SetUpError says what could not be removed."""
+    lines = [*_release(installer), *given_argocd.give_back(installer.kubectl)]
+    left = _kept_by_helm(installer)
+    namespaces = list(dict.fromkeys([*_named(left, NAMESPACES), *_with(installer, added)]))
+    own_argocd = ARGOCD in namespaces
+    goes = [*_outside(left, namespaces), *((kind, name, "") for kind, name in OF_ARGOCD if own_argocd)]
+    goes += [(NAMESPACES, name, "") for name in namespaces]
+    for kind, name, namespace in sorted(goes, key=lambda one: one[0] == "CustomResourceDefinition"):
+        where = ("-n", namespace) if namespace else ()
+        installer.kubectl(*where, "delete", kind.lower(), name, "--ignore-not-found", "--wait=false")
+    _wait_gone(installer, goes)
+    return (*lines, *(f"{kind} {f'{namespace}/' if namespace else ''}{name}" for kind, name, namespace in goes))
+
+
+def _release(installer: Installer) -> Iterator[str]:
+    """Uninstall the release: its own Job first lets releases of agents end."""
+    there = installer.helm("-n", NAMESPACE, "list", "--all", "--short", seconds=ANSWER_SECONDS_MAX).split()
+    if NAMESPACE not in there:
+        return
+    options = ("--wait", "--timeout", f"{UNINSTALL_SECONDS_MAX}s")
+    try:
+        installer.helm("-n", NAMESPACE, "uninstall", NAMESPACE, *options, seconds=UNINSTALL_SECONDS_MAX + 30)
+    except SetUpError as error:
+        raise SetUpError(f"{error}\n{installer.state(NAMESPACE)}\nrepair what is named, and try again") from error
+    yield f"Helm release {NAMESPACE}/{NAMESPACE}"
+
+
+def _kept_by_helm(installer: Installer) -> list[Object]:
+    """Objects of the release that Helm leaves, of every kind."""
+    kinds = installer.kubectl("api-resources", "--verbs=list,delete", "-o", "name").split()
+    words = ("get", ",".join(sorted(kinds)), "-A", "-l", MANAGED, "-o", "json", "--ignore-not-found")
+    found = json.loads(installer.kubectl(*words, seconds=ANSWER_SECONDS_MAX) or '{"items": []}')["items"]
+    return [one for one in found if HELMS_OWN.items() <= one["metadata"].get("annotations", {}).items()]
+
+
+def _named(objects: Sequence[Object], kind: str) -> list[str]:
+    return [str(one["metadata"]["name"]) for one in objects if one["kind"] == kind]
+
+
+def _with(installer: Installer, annotations: Mapping[str, str]) -> list[str]:
+    """Namespaces that have these annotations."""
+    found = json.loads(installer.kubectl("get", "namespaces", "-o", "json"))["items"]
+    chosen = (one["metadata"] for one in found if annotations.items() <= one["metadata"].get("annotations", {}).items())
+    return [str(one["name"]) for one in chosen]
+
+
+def _outside(objects: Sequence[Object], namespaces: Sequence[str]) -> list[tuple[str, str, str]]:
+    """Kind, name and namespace of what does not go with one of these namespaces."""
+    found = ((one["kind"], one["metadata"]["name"], one["metadata"].get("namespace", "")) for one in objects)
+    return [one for one in found if one[0] != NAMESPACES and one[2] not in namespaces]
+
+
+def _wait_gone(installer: Installer, goes: Sequence[tuple[str, str, str]]) -> None:
+    for kind, name, namespace in goes:
+        where = ("-n", namespace) if namespace else ()
+        wait = ("wait", "--for=delete", f"{kind.lower()}/{name}", f"--timeout={GONE_SECONDS_MAX}s")
+        installer.kubectl(*where, *wait, seconds=GONE_SECONDS_MAX + 10)
