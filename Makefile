@@ -13,15 +13,16 @@ SET ?=
 
 # the kind of cluster: embedded is made of this machine's processes and needs nothing else; existing is there already
 CLUSTER ?= embedded
-# how a cluster that is there is reached, from where it pulls images (HOST/PATH), which Nodes are whose, a file with further values of
-# the platform's chart; YES=1: nobody is asked
+# how a cluster that is there is reached, from where it pulls images (HOST/PATH, and the file of an authority that is none of the usual
+# ones), which Nodes are whose, a file with further values of the platform's chart; YES=1: nobody is asked
 KUBECONFIG ?=
 CONTEXT ?=
 REGISTRY ?=
+REGISTRY_CA ?=
 AGENTS ?=
 VALUES ?=
 YES ?=
-CHOSEN = --cluster $(CLUSTER) $(addprefix --kubeconfig ,$(KUBECONFIG)) $(addprefix --context ,$(CONTEXT)) $(addprefix --registry ,$(REGISTRY)) $(addprefix --agents ,$(AGENTS)) $(addprefix --values ,$(VALUES)) $(if $(YES),--yes)
+CHOSEN = --cluster $(CLUSTER) $(addprefix --kubeconfig ,$(KUBECONFIG)) $(addprefix --context ,$(CONTEXT)) $(addprefix --registry ,$(REGISTRY)) $(addprefix --registry-ca ,$(REGISTRY_CA)) $(addprefix --agents ,$(AGENTS)) $(addprefix --values ,$(VALUES)) $(if $(YES),--yes)
 
 # for how many minutes the vehicles go on driving after a demo, and with `make drive`; 0: they stand
 KEEP_DRIVING ?= 30

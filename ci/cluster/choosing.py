@@ -41,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     given.add_argument("--kubeconfig", default="", metavar="FILE", help="default: that of kubectl")
     given.add_argument("--context", default="", help="of the kubeconfig (default: its current one)")
     given.add_argument("--registry", default="", metavar="HOST/PATH", help="where the cluster pulls the images")
+    given.add_argument("--registry-ca", type=Path, metavar="FILE", help="who signed that one's certificate (PEM)")
     given.add_argument("--agents", type=Path, default=GivenCluster.agents, metavar="FILE", help="which Nodes are whose")
     given.add_argument("--values", type=Path, metavar="FILE", help="further values of the platform's chart")
     given.add_argument("--yes", action="store_true", help="what is written is agreed to; nobody is asked")
@@ -51,7 +52,9 @@ def choice(given: argparse.Namespace) -> Choice:
     if given.cluster not in OFFERED:
         there = "; ".join(f"{kind}: {what}" for kind, what in OFFERED.items())
         raise InputError(f"CLUSTER={given.cluster}: there is no such kind of cluster; there is {there}")
-    reached = GivenCluster(given.kubeconfig, given.context, given.registry, given.agents, given.values, given.yes)
+    reached = GivenCluster(
+        given.kubeconfig, given.context, given.registry, given.agents, given.values, given.yes, given.registry_ca
+    )
     return Choice(given.name, given.cluster, reached)
 
 

@@ -26,8 +26,9 @@ Plan = Callable[[Sequence[GivenNode]], tuple[Change, ...]]
 @dataclass(frozen=True)
 class GivenCluster:
     """How a given cluster is reached, and what it is to be. `kubeconfig` and `context` may be empty: those of kubectl;
-    `registry`: HOST/PATH from which it pulls, or empty; `agents`: the file agents.yaml; `values`: a file with further
-    values of the platform's chart; `agreed`: nobody is asked."""
+    `registry`: HOST/PATH from which it pulls, or empty, and `authority`: who signed that one's certificate, where it is
+    none of the usual ones; `agents`: the file agents.yaml; `values`: a file with further values of the platform's
+    chart; `agreed`: nobody is asked."""
 
     kubeconfig: str = ""
     context: str = ""
@@ -35,6 +36,7 @@ class GivenCluster:
     agents: Path = Path("agents.yaml")
     values: Path | None = None
     agreed: bool = False
+    authority: Path | None = None
 
 
 class GivenNodes:

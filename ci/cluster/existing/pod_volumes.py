@@ -4,6 +4,7 @@ small programs in it read and write. The pods are restricted ones, end by themse
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import tarfile
 import tempfile
@@ -76,7 +77,7 @@ class PodVolumes:
         if not new:
             return
         if not self._used:
-            self.end()  # those of a run that was killed
+            self._remove()  # those of a run that was killed
         pods = {"apiVersion": "v1", "kind": "List", "items": [self._pod(claim) for claim in new]}
         with tempfile.TemporaryFile() as file:
             file.write(json.dumps(pods).encode())
@@ -93,7 +94,7 @@ class PodVolumes:
         here = {file.name: [file.stat().st_size, int(file.stat().st_mtime)] for file in folder.iterdir()}
         if there == here:
             return False
-        archive = self.work / "volumes" / f"{folder.name}.tar"
+        archive = self._copies / f"{folder.name}.tar"
         archive.parent.mkdir(parents=True, exist_ok=True)
         try:
             _pack(folder, archive)
@@ -109,7 +110,7 @@ class PodVolumes:
 
     def fetch(self, claim: Claim, path: str) -> Path:
         """See Volumes.fetch: a copy."""
-        copy = self.work.joinpath("volumes", *claim, path)
+        copy = self._copies.joinpath(*claim, path)
         copy.parent.mkdir(parents=True, exist_ok=True)
         with copy.open("wb") as file:
             self._inside(claim, READING, f"{FOLDER}/{path}", copy=file)
@@ -120,9 +121,18 @@ class PodVolumes:
         return self._inside(claim, ENDING, f"{FOLDER}/{path}", str(length))
 
     def end(self) -> None:
-        """Take all of these pods away."""
+        """Take the pods and the copies away."""
+        if self._used:
+            self._remove()
+            self._used.clear()
+        shutil.rmtree(self._copies, ignore_errors=True)
+
+    def _remove(self) -> None:
         self._run("delete", "pods", "-A", "-l", f"{LABEL}={OF_VOLUMES}", "--ignore-not-found")
-        self._used.clear()
+
+    @property
+    def _copies(self) -> Path:
+        return self.work / "volumes"
 
     def _inside(
         self,

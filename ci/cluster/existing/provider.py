@@ -203,7 +203,7 @@ class Existing:
 
         if self._given.registry:
             built = images.read_lock(images.lock_file()) if wanted is None else wanted
-            registry.require(self._given.registry, built)
+            registry.require(self._given.registry, built, self._given.authority)
         changes = self._nodes.planned(plan)
         if changes or also:
             self._nodes.agree([*changes, *also])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Protocol
 
 from ci.cluster.images import Image
@@ -21,13 +22,13 @@ class Manifests(Protocol):
         """The digest of what a tag or digest names; None if there is nothing."""
 
 
-def require(text: str, images: Sequence[Image]) -> None:
+def require(text: str, images: Sequence[Image], authority: Path | None = None) -> None:
     """SetUpError names what the registry at HOST/PATH lacks, and what brings it there; the account is that of `docker
-    login`."""
+    login`. `authority`: who signed its certificate, where that is none of the usual ones."""
     place = place_of(text)
     try:
         account = kept_account(place.host)
-        with OciRegistry(f"https://{place.host}", account.user, account.password) as registry:
+        with OciRegistry(f"https://{place.host}", account.user, account.password, authority=authority) as registry:
             lacking = missing(registry, place, images)
     except RobotKubeError as error:
         raise SetUpError(f"REGISTRY {place}: {error}") from error

@@ -29,8 +29,9 @@ def test_without_a_word_it_is_the_one_that_needs_nothing() -> None:
 
 def test_how_a_cluster_that_is_there_is_reached() -> None:
     words = ("--kubeconfig", "k", "--context", "c", "--registry", "example.com/r", "--agents", "a.yaml", "--yes")
-    given = GivenCluster("k", "c", "example.com/r", Path("a.yaml"), Path("v.yaml"), agreed=True)
-    assert chosen("--cluster", "existing", *words, "--values", "v.yaml") == Choice("demo", "existing", given)
+    given = GivenCluster("k", "c", "example.com/r", Path("a.yaml"), Path("v.yaml"), True, Path("ca.pem"))
+    words = (*words, "--values", "v.yaml", "--registry-ca", "ca.pem")
+    assert chosen("--cluster", "existing", *words) == Choice("demo", "existing", given)
 
 
 @pytest.mark.parametrize("kind", ["kind", "k3s", ""])

@@ -201,8 +201,8 @@ class Registry:
 
     asked: ClassVar[list[tuple[str, ...]]] = []
 
-    def __init__(self, *access: str) -> None:
-        self.asked.append(access)
+    def __init__(self, *access: str, authority: Path | None = None) -> None:
+        self.asked.append((*access, str(authority)))
 
     def __enter__(self) -> Registry:
         return self
@@ -226,10 +226,11 @@ def test_what_the_registry_lacks_is_named_with_what_brings_it_there(
     monkeypatch.setenv("DOCKER_CONFIG", str(tmp_path))
     monkeypatch.setattr(registry, "OciRegistry", Registry)
     place = "registry.example.com/robots/robotkube"
-    registry.require(place, BUILT[:1])
+    registry.require(place, BUILT[:1], Path("ca.pem"))
+    assert Registry.asked[-1] == ("https://registry.example.com", "", "", "ca.pem")
     with pytest.raises(SetUpError, match=rf"{place}: has not ros; .* robotkube bundle push FILE --to {place}"):
         registry.require(place, BUILT)
-    assert Registry.asked[-1] == ("https://registry.example.com", "", "")
+    assert Registry.asked[-1] == ("https://registry.example.com", "", "", "None")
 
 
 def test_a_registry_that_does_not_answer_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

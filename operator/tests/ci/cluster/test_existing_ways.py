@@ -145,9 +145,14 @@ def test_pods_of_volumes_are_made_once_and_go(volumes: PodVolumes, tmp_path: Pat
     assert '"runAsNonRoot": true' in applied
     assert '"nodeSelector": {"robotkube.io/agent": "cloud-0"}' in applied
     volumes.use([CLAIM])
+    (tmp_path.joinpath(*CLAIM)).mkdir(parents=True)
+    (tmp_path.joinpath(*CLAIM) / "a").touch()
+    copy = volumes.fetch(CLAIM, "a")
+    volumes.end()
+    assert not copy.exists()
     volumes.end()
     said = [line.split()[0] for line in (tmp_path / "words").read_text().splitlines()]
-    assert said == ["delete", "apply", "wait", "wait", "delete"]
+    assert said == ["delete", "apply", "wait", "wait", "exec", "delete"]
 
 
 def test_a_pod_that_is_not_ready_is_named_with_its_events(volumes: PodVolumes, tmp_path: Path) -> None:
