@@ -59,12 +59,12 @@ def choice(given: argparse.Namespace) -> Choice:
 
 
 def provider(chosen: Choice, binaries: Path = Path()) -> Provider:
-    """The cluster, for an installation and for scenarios; InputError where that was not proven yet. `binaries`: the
-    tool chain's folder, for one that is made."""
+    """The cluster, for an installation and for scenarios; InputError where no whole run was proven yet. `binaries`:
+    the tool chain's folder, for one that is made."""
     if chosen.kind == Existing.kind:
         raise InputError(
-            f"CLUSTER={chosen.kind} goes as far as `make nodes`: installing the platform and running a scenario on it "
-            "was not proven on a cluster yet; the platform is installed with helm"
+            f"CLUSTER={chosen.kind} goes as far as `make nodes`: a cluster has shown the installation, the ways to "
+            "Services and files, and the removal, but no whole run yet; the platform is installed with helm"
         )
     return Embedded(chosen.name, binaries)
 

@@ -21,7 +21,7 @@ def require_machines(scenario: Scenario, provider: Provider) -> None:
     if needs and provider.machines() is None:
         raise InputError(
             f"scenario {scenario.name} does not run on a cluster of kind {provider.kind}, which did not make its "
-            f"machines: {'; '.join(needs)}. Choose another variant, or CLUSTER=embedded"
+            f"machines: {'; '.join(needs)}. Choose another variant, or a cluster that did"
         )
 
 

@@ -1,5 +1,5 @@
-"""Files in volume claims that no folder of this machine is behind: a pod of the platform's image mounts each claim, and
-small programs in it read and write. The pods are restricted ones, end by themselves, and go with the block."""
+"""Files in volume claims that no folder of this machine is behind: a pod mounts each claim, and small programs in it
+read and write. The pods are restricted ones, end by themselves, and go with the block."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ if os.path.isfile(path):
 
 @dataclass
 class PodVolumes:
-    """See provider.Volumes. `kubectl` is the command with what names the cluster, `image` the platform's as the cluster
-    pulls it, by the Secrets `pull_secrets`; copies of files are put below `work`."""
+    """See provider.Volumes. `kubectl` is the command with what names the cluster, `image` one with Python, which the
+    cluster pulls by the Secrets `pull_secrets`; copies of files are put below `work`."""
 
     kubectl: Sequence[str]
     image: str

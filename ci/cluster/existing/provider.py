@@ -28,6 +28,7 @@ from ci.installation import ARGOCD, GATE, NAMESPACE, Installer, merged, moved
 
 ADDED = {"robotkube.io/added": "demo"}  # annotation of namespaces that are made before the chart
 OF_BUILT_IMAGES = PROJECT / "charts" / "robotkube" / "values-embedded.yaml"
+IMAGE_OF_VOLUMES = "ros"  # those of agents' applications stand on it, so their Nodes have its layers
 COMMAND_SECONDS_MAX = 60
 
 
@@ -151,7 +152,7 @@ class Existing:
     @contextmanager
     def volumes(self) -> Iterator[PodVolumes]:
         """See Provider.volumes."""
-        [image] = [one for one in images.read_lock(images.lock_file()) if one.name == "platform"]
+        [image] = [one for one in images.read_lock(images.lock_file()) if one.name == IMAGE_OF_VOLUMES]
         secrets = self._values(self._entries()).get("imagePullSecrets", [])
         used = PodVolumes(self._kubectl, moved(image.reference, self._place()), self.work(), secrets)
         try:

@@ -15,6 +15,15 @@ from robotkube.delivery.preflight.core.argocd import DEFINITIONS
 
 MANAGED = "app.kubernetes.io/managed-by=Helm"
 NAMESPACES = "Namespace"
+KEPT_KINDS = (
+    "Namespace",
+    "CustomResourceDefinition",
+    "Lease",
+    "Secret",
+    "ConfigMap",
+    "PersistentVolumeClaim",
+)
+"""Kinds of which the chart has Helm keep any."""
 UNINSTALL_SECONDS_MAX, GONE_SECONDS_MAX, ANSWER_SECONDS_MAX = 300, 300, 120
 OF_ARGOCD = (
     *(("CustomResourceDefinition", name) for name in DEFINITIONS),
@@ -54,9 +63,8 @@ def _release(installer: Installer) -> Iterator[str]:
 
 
 def _kept_by_helm(installer: Installer) -> list[Object]:
-    """Objects of the release that Helm leaves, of every kind."""
-    kinds = installer.kubectl("api-resources", "--verbs=list,delete", "-o", "name").split()
-    words = ("get", ",".join(sorted(kinds)), "-A", "-l", MANAGED, "-o", "json", "--ignore-not-found")
+    """Objects of the release that Helm leaves."""
+    words = ("get", ",".join(KEPT_KINDS), "-A", "-l", MANAGED, "-o", "json", "--ignore-not-found")
     found = json.loads(installer.kubectl(*words, seconds=ANSWER_SECONDS_MAX) or '{"items": []}')["items"]
     return [one for one in found if HELMS_OWN.items() <= one["metadata"].get("annotations", {}).items()]
 

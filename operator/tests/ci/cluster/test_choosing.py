@@ -41,9 +41,7 @@ def test_kinds_that_are_not_offered_are_refused_with_those_that_are(kind: str) -
 
 
 def test_what_a_kind_cannot_run_is_said_before_anything_begins() -> None:
-    with pytest.raises(
-        InputError, match=r"CLUSTER=existing goes as far as `make nodes`: .* not proven on a cluster yet"
-    ):
+    with pytest.raises(InputError, match=r"CLUSTER=existing goes as far as `make nodes`: .* but no whole run yet"):
         choosing.provider(chosen("--cluster", "existing"))
 
 

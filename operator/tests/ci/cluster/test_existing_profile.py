@@ -12,12 +12,16 @@ from ci.cluster import topology
 from ci.cluster.existing import mapping
 from ci.cluster.existing.nodes import GivenCluster
 from ci.cluster.existing.provider import Existing
+from ci.cluster.existing.removing import KEPT_KINDS
 from ci.cluster.topology import Topology
 from ci.errors import InputError
 from ci.installation import Installer, merged, moved
-from tests.stages.paths import SCENARIOS
+from tests.stages.paths import REPOSITORY, SCENARIOS
 
 SCENARIO = SCENARIOS / "pose-point-cloud-db-recording" / "scenario.yaml"
+GOLDEN = REPOSITORY / "operator/tests/charts/golden"
+POLICY = "helm.sh/resource-policy"
+LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 AGENTS = """
 agents:
 - {node: a, role: platform, agent: platform}
@@ -106,6 +110,14 @@ def test_images_are_pulled_from_the_registry_by_their_digests() -> None:
 def test_values_are_put_upon_others_as_helm_does_it() -> None:
     upon = merged({"a": {"x": 1, "y": [1]}, "b": 1}, {"a": {"y": [2]}, "c": 3})
     assert upon == {"a": {"x": 1, "y": [2]}, "b": 1, "c": 3}
+
+
+def test_every_kind_that_helm_keeps_is_removed() -> None:
+    golden = (GOLDEN / f"{name}.yaml" for name in ("embedded", "official"))
+    objects = [one for file in golden for one in yaml.load_all(file.read_text(), Loader=LOADER) if one]
+    kept = {one["kind"] for one in objects if one["metadata"].get("annotations", {}).get(POLICY) == "keep"}
+    assert kept
+    assert kept <= set(KEPT_KINDS)
 
 
 class OneNamespace(Installer):

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from kubernetes import client
 
+from ci.cluster.provider import ServicePort
 from robotkube.robots.bags.core.playback import read_run
 from scenarios import definition
 from scenarios.runner import acting, driving
@@ -120,3 +121,23 @@ def test_nothing_runs_inside_a_pod_that_is_not_there(access: Access) -> None:
     with pytest.raises(RunError, match=rf"pod {PLATFORM}/nobody: python3 cannot be run in it: (?s:.*)404 Not Found"):
         access.run_inside(PLATFORM, "nobody", ["python3", "-c", ""], 5)
     assert isinstance(access.tasks(), list), "what the stream did to its connection is not done to this one"
+
+
+def test_services_are_reached_as_the_cluster_says(access: Access, api_server: ApiServerProcess) -> None:
+    ports = [{"name": "https", "port": 3000}]
+    access.core.create_namespaced_service(PLATFORM, {"metadata": {"name": "reached"}, "spec": {"ports": ports}})
+    asked: list[ServicePort] = []
+
+    def reach(service: ServicePort) -> tuple[str, int]:
+        asked.append(service)
+        return "localhost", 40_000
+
+    try:
+        direct = access.endpoint("reached")
+        assert (direct.port, direct.encrypted) == (3000, True)
+        forwarded = Access(api_server.kubeconfig, reach)
+        assert forwarded.endpoint("reached").url == "https://localhost:40000"
+        assert asked == [ServicePort(PLATFORM, "reached", direct.host, 3000)]
+        forwarded.disconnect()
+    finally:
+        access.core.delete_namespaced_service("reached", PLATFORM)
