@@ -39,11 +39,11 @@ def read(path: Path, code: int = 0) -> Counts:
     """Counts of a results file; all zero when the run did not even begin. `code` is what pytest ended with."""
     outcomes: dict[str, str] = {}
     failures: dict[str, str] = {}
-    end = f"pytest ended by {signal.Signals(-code).name}" if code < 0 else f"pytest ended with {code}"
+    said: list[str] = []
     for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
         fact = json.loads(line)
         if "ended" in fact:
-            end = fact["ended"]
+            said.append(fact["ended"])
             continue
         known = outcomes.get(fact["test"], "started")
         outcomes[fact["test"]] = max(known, fact["outcome"], key=WORST_LAST.index)
@@ -51,6 +51,8 @@ def read(path: Path, code: int = 0) -> Counts:
             failures.setdefault(fact["test"], fact["why"])
     ends = list(outcomes.values())
     died = tuple(test for test, outcome in outcomes.items() if outcome == "started")
+    code_says = f"pytest ended by {signal.Signals(-code).name}" if code < 0 else f"pytest ended with {code}"
+    end = next(iter(said), code_says)  # what comes after the first follows from it
     failures |= dict.fromkeys(died, f"the run ended in the middle of it: {end}")
     return Counts(ends.count("passed"), ends.count("failed") + len(died), ends.count("skipped"), died, failures)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import os
 import subprocess
 import sys
@@ -264,6 +265,13 @@ def test_a_file_that_cannot_be_imported_is_a_failure(tmp_path: Path) -> None:
     assert code != 0
     assert counts == results.Counts(0, 1, 0)
     assert "nothing_of_this_name" in counts.failures["test_broken.py"]
+
+
+def test_of_several_ends_the_first_says_why(tmp_path: Path) -> None:
+    """pytest-xdist may not expect what becomes of a run in which a plugin has an error."""
+    facts = [{"test": "a", "outcome": "started", "why": ""}, {"ended": "of a plugin"}, {"ended": "of pytest-xdist"}]
+    (tmp_path / "results").write_text("".join(f"{json.dumps(fact)}\n" for fact in facts))
+    assert results.read(tmp_path / "results").failures == {"a": "the run ended in the middle of it: of a plugin"}
 
 
 def test_no_run_at_all_counts_nothing(tmp_path: Path) -> None:
