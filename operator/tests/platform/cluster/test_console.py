@@ -18,5 +18,7 @@ PICTURES = PROJECT / "build" / "console" / "platform"
 def test_a_way_through_fleet_why_and_tasks(platform: Platform) -> None:
     vehicle = next(agent for agent in platform.agents if agent.startswith("vehicle-"))
     asked = ("pose-point-cloud-recording", f"vehicles={vehicle}")
-    said = console.browse("smoke", platform.installer.console(), vehicle, *asked, str(PICTURES))
+    service = platform.installer.console()
+    assert service is not None
+    said = console.browse("smoke", f"http://{service.address}:{service.port}/", vehicle, *asked, str(PICTURES))
     assert "fleet, why and tasks are as they should be" in said
