@@ -104,6 +104,7 @@ def sources(folder: Path) -> None:
 def next_version(folder: Path, last: str, version: str, runs: str, skipped: str = "") -> None:
     """The chart as it is in `folder` (`last`), under another version with SUCCESS that replaces the one that `runs`."""
     entries = folder / "registry" / "charts" / CHART
+    way = "" if runs == SOURCE else f", {SOURCE}"  # of who has the newest of this folder alone
     changed(folder / "charts" / CHART / "Chart.yaml", last, version)
     entry_after(
         entries,
@@ -111,7 +112,7 @@ def next_version(folder: Path, last: str, version: str, runs: str, skipped: str 
         version,
         (f"version: {SOURCE}\n", f"version: {version}\n{SUCCESS}"),
         ("replaces: 0.2.1\n", f"replaces: {runs}\n"),
-        ("skips: [0.1.2]", f"skips: [0.1.2{skipped}]"),
+        ("skips: [0.1.2]", f"skips: [0.1.2{way}{skipped}]"),
     )
 
 
