@@ -27,6 +27,7 @@ from ci.images.services import SERVICE_NAMES
 from gitops.argocd import render
 from robotkube.delivery.preflight.core.argocd import DEFINITIONS, ArgoCd
 from robotkube.delivery.preflight.core.argocd import argocd as judge_argocd
+from robotkube.delivery.preflight.core.values import merged
 
 NAMESPACE, GATE, ARGOCD = "robotkube", "robotkube-gate", "argocd"  # of the release, of its gate alone, of Argo CD
 CHART = PROJECT / "charts" / "robotkube"
@@ -239,17 +240,6 @@ class Installer:
 def moved(reference: str, registry: str) -> str:
     """An image reference as the cluster pulls it: what stands before its last slash is the registry's HOST/PATH."""
     return f"{registry}/{reference.rpartition('/')[2]}" if registry else reference
-
-
-def merged(values: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, Any]:
-    """Values with others upon them, as Helm does it with files of values."""
-    both = {key: (values[key], others[key]) for key in values.keys() & others.keys()}
-    inner = {
-        key: merged(one, other)
-        for key, (one, other) in both.items()
-        if isinstance(one, Mapping) and isinstance(other, Mapping)
-    }
-    return {**values, **others, **inner}
 
 
 def chosen_volumes(claims: Sequence[Mapping[str, Any]], volumes: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -13,8 +13,7 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any, Protocol
 
-import yaml
-
+from ci import yaml_files
 from ci.cluster.addresses import NODES_MAX
 from ci.errors import InputError
 
@@ -102,12 +101,7 @@ class Topology:
 
 def read(path: Path, overrides: Mapping[str, str] | None = None) -> Topology:
     """Read `path`; `overrides` replace counts: `vehicles=3` is the count of the entry of role `vehicle`."""
-    try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give a scenario.yaml with --topology") from error
-    except yaml.YAMLError as error:
-        raise InputError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
+    document = yaml_files.read(path, "give a scenario.yaml with --topology")
     if not isinstance(document, dict) or "topology" not in document:
         raise InputError(f"{path}: topology: is missing; add `topology: {{nodes: [...]}}`")
     return _Reader(str(path)).topology(document["topology"], dict(overrides or {}))

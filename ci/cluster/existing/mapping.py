@@ -15,8 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from ci import yaml_files
 from ci.cluster.topology import LABEL, NodeSpec, Topology, agent_labels
 from ci.errors import InputError
 
@@ -51,12 +50,7 @@ class AgentEntry:
 
 def read(path: Path) -> tuple[AgentEntry, ...]:
     """The entries of a file; InputError."""
-    try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); write one, for example: {EXAMPLE}") from error
-    except yaml.YAMLError as error:
-        raise InputError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
+    document = yaml_files.read(path, f"write one, for example: {EXAMPLE}")
     entries = document.get("agents") if isinstance(document, dict) else None
     if not isinstance(entries, list) or not entries:
         raise InputError(f"{path}: agents: must be a list with at least one entry, for example: {EXAMPLE}")
@@ -84,12 +78,7 @@ def _capable(node: NodeSpec) -> str:
 
 def read_values(path: Path) -> dict[str, Any]:
     """Values of the platform's chart in a file; InputError."""
-    try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"VALUES={path}: cannot be read ({error.strerror})") from error
-    except yaml.YAMLError as error:
-        raise InputError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
+    document = yaml_files.read(path, "name a file with VALUES")
     if not isinstance(document, dict):
         raise InputError(f"{path}: must be a mapping, as a file of values for charts/robotkube is")
     return document

@@ -24,7 +24,8 @@ from ci.cluster.provider import ChartProfile, NodeState, ServicePort, WayOfAPers
 from ci.cluster.topology import Topology, chart_agents
 from ci.errors import InputError, SetUpError
 from ci.folders import PROJECT, user_cache
-from ci.installation import ARGOCD, GATE, NAMESPACE, Installer, merged, moved
+from ci.installation import ARGOCD, GATE, NAMESPACE, Installer, moved
+from robotkube.delivery.preflight.core.values import merged
 
 ADDED = {"robotkube.io/added": "demo"}  # annotation of namespaces that are made before the chart
 OF_BUILT_IMAGES = PROJECT / "charts" / "robotkube" / "values-embedded.yaml"
@@ -67,8 +68,7 @@ class Existing:
         entries = self._entries()
         written = self._take(entries, ())
         self.values_file.parent.mkdir(parents=True, exist_ok=True)
-        values = {key: value for key, value in self._values(entries).items() if key in ("agents", "global")}
-        self.values_file.write_text(yaml.safe_dump(values), encoding="utf-8")
+        self.values_file.write_text(yaml.safe_dump(self._with_given(self._of_agents(entries))), encoding="utf-8")
         return written
 
     def planned(self) -> tuple[str, ...]:
@@ -185,14 +185,22 @@ class Existing:
         values says."""
         built = yaml.safe_load(OF_BUILT_IMAGES.read_text(encoding="utf-8"))
         own = {
-            "agents": chart_agents(entries),
+            **self._of_agents(entries),
             "platform": {"nodeSelector": {"robotkube.io/role": "platform"}},
             "gate": {"localBuilds": True},
             "database": {key: built["database"][key] for key in ("kind", "arguments")},
             "forge": {"staticRootPath": built["forge"]["staticRootPath"]},
-            **({"global": {"imageRegistry": self._place()}} if self._given.registry else {}),
         }
-        return merged(own, mapping.read_values(self._given.values)) if self._given.values else own
+        return self._with_given(own)
+
+    def _of_agents(self, entries: Sequence[mapping.AgentEntry]) -> dict[str, Any]:
+        """What the chart is told of agents and registry, whoever installs it."""
+        place = self._place()
+        return {"agents": chart_agents(entries), **({"global": {"imageRegistry": place}} if place else {})}
+
+    def _with_given(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Values with those of the given file upon them."""
+        return merged(values, mapping.read_values(self._given.values) if self._given.values else {})
 
     def _take(
         self, entries: Sequence[mapping.AgentEntry], also: Sequence[str], wanted: Sequence[Image] | None = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -73,7 +74,7 @@ def labels(api: Api, name: str) -> Mapping[str, str]:
     return found
 
 
-def test_what_was_added_goes_and_every_object_is_as_before(api: Api, given: GivenCluster) -> None:
+def test_what_was_added_goes_and_every_object_is_as_before(api: Api, given: GivenCluster, tmp_path: Path) -> None:
     before = everything(api)
     assert "/api/v1/nodes//given-1" in before
     cluster = Existing(given)
@@ -91,6 +92,10 @@ def test_what_was_added_goes_and_every_object_is_as_before(api: Api, given: Give
     assert yaml.safe_load(cluster.values_file.read_text()) == {
         "agents": [{"name": "vehicle-00", "role": "vehicle", "claims": [{"name": "bags", "size": "2Gi"}]}]
     }
+    further = tmp_path / "further.yaml"
+    further.write_text("storage: {className: fast}\n")
+    assert Existing(replace(given, values=further)).take() == ()
+    assert yaml.safe_load(cluster.values_file.read_text())["storage"] == {"className": "fast"}
     assert cluster.take() == ()
     assert len(cluster.down()) == 2
     assert everything(api) == before

@@ -78,6 +78,8 @@ def test_defaults_below_values() -> None:
         "b": [1],
     }
     assert merged({"a": {"x": 1}}, {"a": None}) == {"a": None}
+    upon = merged({"a": {"x": 1, "y": [1]}, "b": 1}, {"a": {"y": [2]}, "c": 3})
+    assert upon == {"a": {"x": 1, "y": [2]}, "b": 1, "c": 3}
 
 
 def test_words_of_the_schema_do_not_repeat_a_value() -> None:
