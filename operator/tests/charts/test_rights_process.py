@@ -78,7 +78,8 @@ def settings_of(rendered: Any, forge: ForgeProcess, port: int, broker: int, fold
     document["forge"]["url"] = forge.url
     document["listen"] = {"address": "127.0.0.1", "port": port}
     document["broker"] |= {"host": "127.0.0.1", "port": broker}
-    del document["broker"]["authorities"]  # this broker speaks in clear text
+    for clear_text in ("forge", "broker"):
+        del document[clear_text]["authorities"]
     (folder / "secrets" / "broker" / "password").write_text(password("rights"))
     found.write_text(yaml.safe_dump(document))
     return found
