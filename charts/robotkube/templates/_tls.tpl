@@ -331,7 +331,7 @@ trusted: {config_map: robotkube-ca, namespaces: {{ include "robotkube.connecting
 {{- $serving := list }}{{ range include "robotkube.servingProcesses" . | fromJsonArray }}{{ $serving = append $serving .name }}{{ end }}
 {{- if and $processes (eq $tls.mode "provided") }}
 {{- range include "robotkube.servingProcesses" . | fromJsonArray }}{{ if not (get $tls.provided.processes .name) }}
-{{ printf "tls.processes is true, but tls.provided.processes names no Secret for %s. Name the one in namespace %s that has its tls.crt and tls.key, for the name %s." .name .namespace (include "robotkube.host" (dict "root" $ "name" .name "namespace" .namespace)) }}
+{{ printf "tls.processes is true, but tls.provided.processes names no Secret for %s. Name the one in namespace %s that has its tls.crt and tls.key, for the name %s; or set tls.processes: false, and all speak HTTP." .name .namespace (include "robotkube.host" (dict "root" $ "name" .name "namespace" .namespace)) }}
 {{- end }}{{ end }}
 {{- end }}
 {{- range $name, $_ := $tls.provided.processes }}
@@ -342,7 +342,7 @@ trusted: {config_map: robotkube-ca, namespaces: {{ include "robotkube.connecting
 {{- end }}
 {{- end }}
 {{- if and $processes (eq $tls.mode "cert-manager") (eq $tls.issuer.kind "Issuer") (eq $tls.issuer.group "cert-manager.io") }}
-{{ printf "tls.processes is true, but tls.issuer.kind is Issuer, which signs in the platform's namespace alone, and the gate stands in %s. Name a ClusterIssuer, or take tls.processes out." (include "robotkube.gateNamespace" .) }}
+{{ printf "tls.processes is true, but tls.issuer.kind is Issuer, which signs in the platform's namespace alone, and the gate stands in %s. Name a ClusterIssuer, or set tls.processes: false." (include "robotkube.gateNamespace" .) }}
 {{- end }}
 {{- if and .Values.forge.names (not (include "robotkube.forgeEncrypted" .)) }}
 {{ print "forge.names is given, but the forge has no certificate here: tls.mode is \"off\", forge.tls false or forge.kind external. Leave it out." }}

@@ -33,11 +33,7 @@ from tests.stages.secret_words import words
 
 pytestmark = pytest.mark.toolchain
 
-VALUES = [
-    option
-    for name in ("official", "processes")
-    for option in ("-f", str(Path(__file__).parent / f"profiles/{name}.yaml"))
-]
+VALUES = ["-f", str(Path(__file__).parent / "profiles/official.yaml")]
 ACCOUNT = "system:serviceaccount:robotkube:certificates"
 AGENTS = ("vehicle-00", "vehicle-01", "cloud-0")
 SERVERS = ("broker", "database", "forge", "gate", "manager", "rights", "suite-runner")

@@ -153,16 +153,16 @@ def test_the_gate_stands_where_values_say(helm: Any) -> None:
     assert "robotkube-gate" not in {o["metadata"].get("namespace") for o in rendered.objects}
     assert rendered.one("Deployment", "gate", "signing")
     settings = yaml.safe_load(rendered.one("ConfigMap", "manager")["data"]["config.yaml"])
-    assert settings["gate"]["objects"].startswith("http://gate.signing.svc.cluster.local:8080/")
+    assert settings["gate"]["objects"].startswith("https://gate.signing.svc.cluster.local:8080/")
 
 
 def test_webhooks_to_where_the_gate_stood_before_go(official: Any) -> None:
     forge = yaml.safe_load(official.one("ConfigMap", "bootstrap")["data"]["config.yaml"])["forge"]
     called = {hook["url"] for hook in forge["webhooks"]}
     former = {hook["url"] for hook in forge["former_webhooks"]}
-    assert "http://gate.robotkube-gate.svc.cluster.local:8080/webhook" in called
-    by_https = {url.replace("http:", "https:") for url in called}  # of tls.processes, which is off here
-    assert former == {"http://gate.robotkube.svc.cluster.local:8080/webhook", *by_https}
+    assert "https://gate.robotkube-gate.svc.cluster.local:8080/webhook" in called
+    by_http = {url.replace("https:", "http:") for url in called}  # of tls.processes, which is on here
+    assert former == {"http://gate.robotkube.svc.cluster.local:8080/webhook", *by_http}
     assert {hook["repository"] for hook in forge["former_webhooks"]} == {r["name"] for r in forge["repositories"]}
 
 
@@ -247,8 +247,9 @@ def test_the_former_name_of_the_limits_counts_with_a_warning(helm: Any, platform
     assert limits(helm.template(PLATFORM, PROFILE, **former)) == ("2", "8Gi", "8Gi")
     assert "WARNING: the value suites.room has another name, suites.testNamespace" in notes(helm, former, tmp_path)
     present = {"suites": {"testNamespace": {"cpu": "2"}}}
-    assert "WARNING: gate, managers, suite-runner, rights speak HTTP:" in notes(helm, present, tmp_path)
-    assert "WARNING" not in notes(helm, {**present, "tls": {"processes": True}}, tmp_path)
+    assert "WARNING" not in notes(helm, present, tmp_path)
+    plain = {"tls": {"processes": False}}
+    assert "WARNING: gate, managers, suite-runner, rights speak HTTP:" in notes(helm, plain, tmp_path)
 
 
 def notes(helm: Any, values: dict[str, Any], folder: Path) -> str:

@@ -16,10 +16,13 @@ import pytest
 
 from ci import toolchain
 from tests.stages import http_calls
+from tests.stages.paths import CHARTS
 from tests.stages.programs import free_port
 
 pytestmark = pytest.mark.toolchain
 
+PLATFORM = CHARTS / "robotkube"
+EMBEDDED = (PLATFORM / "values-embedded.yaml", Path(__file__).parent / "profiles" / "embedded.yaml")
 PREPARE_SECONDS_MAX = 60
 START_SECONDS_MAX = 30.0
 
@@ -66,7 +69,9 @@ class Forge:
 
 
 @pytest.fixture(scope="module")
-def forge(embedded: Any, helm: Any, tmp_path_factory: pytest.TempPathFactory) -> Forge:
+def forge(helm: Any, tmp_path_factory: pytest.TempPathFactory) -> Forge:
+    """In clear text; by TLS: test_forge_certificate.py."""
+    embedded = helm.template(PLATFORM, *EMBEDDED, forge={"tls": False})
     folder, port = tmp_path_factory.mktemp("forge"), free_port()
     account = embedded.one("Secret", "forge-account-administrator")["stringData"]
     for key, value in account.items():

@@ -188,7 +188,7 @@ def hearing(folder: Path, authority: Pair, heard: list[WebhookDelivery]) -> WebS
 def stage(helm: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
     forge = EncryptedForge(
         tmp_path_factory.mktemp("forge") / "pod",
-        helm.template(PLATFORM, *EMBEDDED, forge={"tls": True}, tls={"processes": True}),
+        helm.template(PLATFORM, *EMBEDDED),
     )
     heard: list[WebhookDelivery] = []
     server = hearing(tmp_path_factory.mktemp("gate"), forge.authority, heard)

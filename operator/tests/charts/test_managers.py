@@ -71,7 +71,7 @@ def test_the_gate_takes_from_each_what_is_in_its_scope(two: Any) -> None:
         {
             "account": name,
             "namespaces": namespaces,
-            "webhook": f"http://{name}.robotkube.svc.cluster.local:8080/webhook",
+            "webhook": f"https://{name}.robotkube.svc.cluster.local:8080/webhook",
             "secret": f"/var/run/secrets/robotkube/proposers/{name}/secret",
         }
         for name, namespaces in scopes.items()

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import ssl
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -38,7 +38,7 @@ pytestmark = pytest.mark.toolchain
 
 PLATFORM = CHARTS / "robotkube"
 PROFILES = Path(__file__).parent / "profiles"
-OFFICIAL, PROCESSES = PROFILES / "official.yaml", PROFILES / "processes.yaml"
+OFFICIAL = PROFILES / "official.yaml"
 AUTHORITY = "-----BEGIN CERTIFICATE-----\nMIIB\n-----END CERTIFICATE-----\n"
 SERVING = {
     "gate": gate.read_configuration,
@@ -81,7 +81,7 @@ def mode(request: pytest.FixtureRequest) -> str:
 @pytest.fixture
 def encrypted(helm: Any, mode: str) -> Any:
     """Two managers, and all that can serve."""
-    return rendered(helm, PROCESSES, **MODES[mode])
+    return rendered(helm, **MODES[mode])
 
 
 def rendered(helm: Any, *profiles: Path, **values: Any) -> Any:
@@ -218,7 +218,7 @@ def server_of(process: str, configuration: Any, folder: Path) -> WebServer:
 
 @pytest.mark.parametrize("process", sorted(SERVING.keys() - {"manager-north"}))
 def test_each_process_serves_with_what_the_chart_mounts(helm: Any, tmp_path: Path, process: str) -> None:
-    path = mounted(rendered(helm, PROCESSES), process, tmp_path)
+    path = mounted(rendered(helm), process, tmp_path)
     authority = new_authority("ours", time.time())
     certified(tmp_path / "secrets" / "certificate", authority, "localhost")
     settings: Any = read_settings(path, SERVING[process])
@@ -234,7 +234,7 @@ def test_each_process_serves_with_what_the_chart_mounts(helm: Any, tmp_path: Pat
 
 
 def test_the_forge_of_http_and_one_of_somebody_else_leave_them_by_https(helm: Any) -> None:
-    plain = rendered(helm, PROCESSES, forge={"tls": False})
+    plain = rendered(helm, forge={"tls": False})
     assert {urlsplit(url).scheme for url in asked(plain)} == {"https"}
     assert "authorities" not in settings(plain, "gate")["forge"]
     for workload in ASKING:
@@ -242,14 +242,14 @@ def test_the_forge_of_http_and_one_of_somebody_else_leave_them_by_https(helm: An
     [container] = dict(plain.pods)["StatefulSet/forge"]["containers"]
     assert {"name": "SSL_CERT_DIR", "value": AUTHORITIES} in container["env"]
     external = {"kind": "external", "tls": False, "external": {"url": "https://git.example"}}
-    elsewhere = rendered(helm, PROCESSES, forge=external)
+    elsewhere = rendered(helm, forge=external)
     assert settings(elsewhere, "gate")["authorities"] == f"{AUTHORITIES}/ca.crt"
     assert AUTHORITIES in mounts(elsewhere, "Deployment/gate")
 
 
-@pytest.mark.parametrize("values", [{}, {"tls": {"processes": True, "mode": "off"}}], ids=["by itself", "off"])
+@pytest.mark.parametrize("values", [{"processes": False}, {"mode": "off"}], ids=["processes", "mode"])
 def test_in_clear_text_nothing_is_different(helm: Any, values: dict[str, Any]) -> None:
-    plain = rendered(helm, **values)
+    plain = rendered(helm, tls=values)
     assert {urlsplit(url).scheme for url in asked(plain)} == {"http"}
     for process in SERVING:
         assert (port_names(plain, process), certificate_of(plain, process)) == ({"http"}, None)
@@ -261,12 +261,10 @@ def test_in_clear_text_nothing_is_different(helm: Any, values: dict[str, Any]) -
     ]
 
 
-@pytest.mark.parametrize(("profiles", "former"), [((PROCESSES,), "http"), ((), "https")], ids=["on", "off"])
-def test_webhooks_that_would_speak_otherwise_are_taken_away(
-    helm: Any, tmp_path: Path, profiles: tuple[Path, ...], former: str
-) -> None:
+@pytest.mark.parametrize(("on", "former"), [(True, "http"), (False, "https")])
+def test_webhooks_that_would_speak_otherwise_are_taken_away(helm: Any, tmp_path: Path, on: bool, former: str) -> None:
     """Of before the value changed: the forge would go on calling them in vain."""
-    found = read_settings(mounted(rendered(helm, *profiles), "bootstrap", tmp_path), read_bootstrap)
+    found = read_settings(mounted(rendered(helm, tls={"processes": on}), "bootstrap", tmp_path), read_bootstrap)
     assert found.forge is not None
     today = {(one.repository, one.url) for one in found.forge.setup.webhooks}
     gone = {(one.repository, one.url) for one in found.forge.setup.former_webhooks}
@@ -277,7 +275,7 @@ def test_webhooks_that_would_speak_otherwise_are_taken_away(
 
 
 def test_the_process_that_keeps_certificates_may_write_the_gates_and_nothing_else_there(helm: Any) -> None:
-    found = rendered(helm, PROCESSES)
+    found = rendered(helm)
     rules = found.one("Role", "certificates", "robotkube-gate")["rules"]
     assert [(rule["resources"], rule["resourceNames"], rule["verbs"]) for rule in rules] == [
         (["configmaps"], ["robotkube-ca"], ["get", "patch"]),
@@ -293,14 +291,14 @@ def test_the_process_that_keeps_certificates_may_write_the_gates_and_nothing_els
 
 
 def test_no_pod_mounts_the_key_of_another(helm: Any) -> None:
-    found = rendered(helm, PROCESSES)
+    found = rendered(helm)
     for process in SERVING:
         mounting = {name for name, pod in found.pods if f"'{process}-tls'" in str(pod["volumes"])}
         assert mounting == {f"Deployment/{process}"}
 
 
 def test_the_process_reads_for_whom_to_make_certificates(helm: Any, tmp_path: Path) -> None:
-    issuance = read_settings(mounted(rendered(helm, PROCESSES), "certificates", tmp_path), read_certificates).issuance
+    issuance = read_settings(mounted(rendered(helm), "certificates", tmp_path), read_certificates).issuance
     named = {one.secret: one for one in issuance.certificates}
     assert named["gate-tls"].namespace == "robotkube-gate"
     assert named["manager-north-tls"].namespace == ""
@@ -310,15 +308,3 @@ def test_the_process_reads_for_whom_to_make_certificates(helm: Any, tmp_path: Pa
 def test_an_upgrade_that_reuses_values_of_before_leaves_them_as_they_are(helm: Any) -> None:
     reused = rendered(helm, tls=None)
     assert {urlsplit(url).scheme for url in asked(reused)} == {"http"}
-
-
-def test_what_is_rendered_is_what_was_kept(helm: Any, golden: Callable[[str, str], None]) -> None:
-    found = helm.template(PLATFORM, OFFICIAL, PROCESSES)
-    names = ("gate", "manager", "rights", "suite-runner")
-    kept = [found.one("Service", name, namespace_of(name)) for name in names]
-    kept += [found.one("Secret", f"{name}-tls", namespace_of(name)) for name in names]
-    kept += [found.one("Role", "certificates", place) for place in ("robotkube", "robotkube-gate")]
-    kept += [found.one("Deployment", "gate", "robotkube-gate"), found.one("StatefulSet", "forge")]
-    settings_of = (*names, "bootstrap", "certificates", "console")
-    kept += [found.one("ConfigMap", name, namespace_of(name)) for name in settings_of]
-    golden("processes", yaml.safe_dump_all(kept, sort_keys=False))

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from tests.stages.paths import CHARTS
-from tests.stages.settings_mounted import GATE, KEY_SECRETS, pod_of
+from tests.stages.settings_mounted import CERTIFICATE, GATE, KEY_SECRETS, pod_of
 
 pytestmark = pytest.mark.toolchain
 
@@ -247,6 +247,10 @@ def test_the_bootstrap_may_only_get_and_patch_named_objects(platform: Any) -> No
         assert rule["resourceNames"]
 
 
+def namespace_of(document: Mapping[str, Any]) -> str:
+    return str(document["metadata"].get("namespace", "robotkube"))
+
+
 def test_no_right_reaches_pods_for_writing_or_secrets_for_listing(platform: Any) -> None:
     for role in platform.of_kind("Role", "ClusterRole"):
         in_test_namespace = role["metadata"].get("namespace", "").startswith("robotkube-suite-")
@@ -259,12 +263,14 @@ def test_no_right_reaches_pods_for_writing_or_secrets_for_listing(platform: Any)
                 assert not WRITE_VERBS & set(rule["verbs"])
             if "secrets" in rule["resources"] and in_test_namespace:
                 assert rule["verbs"] == ["create", "delete"]
+            elif "secrets" in rule["resources"] and role["metadata"]["name"] == "certificates":
+                there = [
+                    one["metadata"] for one in platform.of_kind("Secret") if namespace_of(one) == namespace_of(role)
+                ]
+                assert set(rule["resourceNames"]) == {one["name"] for one in there if "tls" in one["name"]}
+                assert rule["verbs"] == ["get", "patch"]
             elif "secrets" in rule["resources"] and role["metadata"].get("namespace") == "robotkube-gate":
                 assert rule["verbs"] == ["create"]
-            elif "secrets" in rule["resources"] and role["metadata"]["name"] == "certificates":
-                secrets = {one["metadata"]["name"] for one in platform.of_kind("Secret")}
-                assert set(rule["resourceNames"]) == {name for name in secrets if "tls" in name}
-                assert rule["verbs"] == ["get", "patch"]
             elif "secrets" in rule["resources"]:
                 assert rule["resourceNames"] == ["argocd-secret"]
 
@@ -346,13 +352,14 @@ def test_every_secret_that_settings_name_is_mounted(platform: Any, process: str)
     namespace = GATE if process == "gate" else None
     projected = [volume["projected"] for volume in pod_of(platform, process)["volumes"] if "projected" in volume]
     for source in (found["secret"] for one in projected for found in one["sources"] if "secret" in found):
-        if source["name"] not in KEY_SECRETS:
+        if source["name"] not in KEY_SECRETS and {item["key"] for item in source["items"]} != set(CERTIFICATE):
             secret = platform.one("Secret", source["name"], namespace)
             assert {item["key"] for item in source["items"]} <= set(secret["stringData"])
         mounted |= {f"/var/run/secrets/robotkube/{item['path']}" for item in source["items"]}
     settings = yaml.safe_load(platform.one("ConfigMap", process, namespace)["data"]["config.yaml"])
     for path in named_paths(settings):
-        assert path in mounted or {f"{path}/username", f"{path}/password"} <= mounted, path
+        folders = ({f"{path}/{key}" for key in keys} for keys in (("username", "password"), CERTIFICATE))
+        assert path in mounted or any(folder <= mounted for folder in folders), path
 
 
 def test_secrets_are_files_but_where_a_program_takes_none(platform: Any) -> None:
@@ -391,6 +398,10 @@ def test_what_must_stay_is_kept(official: Any) -> None:
         ("Secret", None, "broker-tls"),
         ("Secret", None, "database-tls"),
         ("Secret", None, "forge-tls"),
+        ("Secret", None, "manager-tls"),
+        ("Secret", None, "rights-tls"),
+        ("Secret", None, "suite-runner-tls"),
+        ("Secret", "robotkube-gate", "gate-tls"),
         ("Namespace", None, "robotkube-gate"),
         ("Lease", None, "robotkube-manager-manager"),
         ("PersistentVolumeClaim", "robotkube-suite-0", "scratch"),

@@ -35,7 +35,7 @@ from tests.stages.waiting import until
 
 pytestmark = pytest.mark.toolchain  # a server of its own
 PROFILES = Path(__file__).parent / "profiles"
-INSTALLED = ("official", "managers", "admission", "processes", "writers")
+INSTALLED = ("official", "managers", "admission", "writers")
 Rights = dict[str, str]
 
 READ = "get list watch"

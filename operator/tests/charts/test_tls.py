@@ -145,8 +145,9 @@ def test_the_process_reads_the_settings_that_the_chart_writes(official: Any, tmp
     issuance = read_settings(mounted(official, "certificates", tmp_path), read_configuration).issuance
     assert (issuance.platform, issuance.namespaces) == ("robotkube", ("robotkube", "robotkube-gate", *AGENTS))
     host = official.one("Secret", "broker-account", "vehicle-00")["stringData"]["host"]
-    assert [one.secret for one in issuance.certificates] == ["broker-tls", "database-tls", "forge-tls"]
-    assert [one.service for one in issuance.certificates] == ["", "", "forge"]
+    servers = ["broker", "database", "forge", "gate", "manager", "rights", "suite-runner"]
+    assert [one.secret for one in issuance.certificates] == [f"{name}-tls" for name in servers]
+    assert {one.secret: one.service for one in issuance.certificates if one.service} == {"forge-tls": "forge"}
     assert {"forge.robotkube.svc.cluster.local", "localhost", "127.0.0.1"} <= set(issuance.certificates[2].names)
     assert issuance.certificates[0].names[0] == host
     assert (
@@ -184,6 +185,7 @@ def test_a_provided_certificate_is_mounted_and_whoever_signed_it_told(helm: Any)
         "mode": "provided",
         "provided": {"secret": "mine", "database": "ours", "forge": "its"},
         "authorities": AUTHORITY,
+        "processes": False,
     }
     rendered = helm.template(PLATFORM, OFFICIAL, tls=provided)
     assert not names(rendered) & {*OURS, "Secret/broker-tls", "Secret/database-tls", "Certificate/broker"}
@@ -200,7 +202,7 @@ def test_a_provided_certificate_is_mounted_and_whoever_signed_it_told(helm: Any)
 def test_a_broker_of_somebody_else_is_verified_by_the_authorities_that_are_given(helm: Any) -> None:
     external = {"kind": "external", "external": {"host": "mqtt.example", "port": 8884}}
     database = {"kind": "external", "external": {"host": "mongo.example", "port": 27019, "tls": True}}
-    provided = {"mode": "provided", "provided": {"forge": "its"}, "authorities": AUTHORITY}
+    provided = {"mode": "provided", "provided": {"forge": "its"}, "authorities": AUTHORITY, "processes": False}
     rendered = helm.template(PLATFORM, OFFICIAL, broker=external, database=database, tls=provided)
     assert accounts(rendered) == {("8884", "required")}
     assert trusted(rendered) == {AUTHORITY}
@@ -291,7 +293,7 @@ def test_the_forge_speaks_http_where_nothing_else_is_asked_for(helm: Any, values
 
 
 def test_what_cert_manager_is_asked_for(helm: Any, golden: Callable[[str, str], None]) -> None:
-    rendered = helm.template(PLATFORM, OFFICIAL, PROFILES / "processes.yaml", PROFILES / "cert-manager.yaml")
+    rendered = helm.template(PLATFORM, OFFICIAL, PROFILES / "cert-manager.yaml")
     assert not names(rendered) & OURS
     asked = {one["metadata"]["name"]: one for one in rendered.of_kind("Certificate")}
     for name, workload in (

@@ -78,7 +78,8 @@ TLS_REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
             }
         },
         "tls.processes is true, but tls.provided.processes names no Secret for gate. Name the one in namespace "
-        "robotkube-gate that has its tls.crt and tls.key, for the name gate.robotkube-gate.svc.cluster.local.",
+        "robotkube-gate that has its tls.crt and tls.key, for the name gate.robotkube-gate.svc.cluster.local; "
+        "or set tls.processes: false",
     ),
     "a Secret of a process that nobody mounts": (
         {"tls": {"processes": True, "provided": {"processes": {"gate": "mine"}}}},
@@ -98,7 +99,7 @@ TLS_REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
     "an Issuer that does not sign where the gate is": (
         {"tls": {"mode": "cert-manager", "processes": True, "authorities": AUTHORITY, "issuer": {"name": "ours"}}},
         "tls.processes is true, but tls.issuer.kind is Issuer, which signs in the platform's namespace alone, and the "
-        "gate stands in robotkube-gate. Name a ClusterIssuer, or take tls.processes out.",
+        "gate stands in robotkube-gate. Name a ClusterIssuer, or set tls.processes: false.",
     ),
     "names of a forge without a certificate": (
         {"forge": {"tls": False, "names": ["git.example"]}},
