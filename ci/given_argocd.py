@@ -1,7 +1,7 @@
 """What the platform's installation writes into an Argo CD that others installed: kept before, and given back.
 
 The Job bootstrap gives its manager an account, names who signs hooks and certificates, closes the project `default`,
-and restarts what reads hooks. Whatever of this was there before is in a Secret of the platform's namespace meanwhile.
+and restarts what reads them. Whatever of this was there before is in a Secret of the platform's namespace meanwhile.
 """
 
 from __future__ import annotations
@@ -19,9 +19,13 @@ MAPS = ("argocd-cm", "argocd-rbac-cm", "argocd-tls-certs-cm")
 SECRET = "argocd-secret"  # noqa: S105 - the object's name
 WRITTEN = ("webhook.", "accounts.manager.")  # keys of that Secret; others stay where they are
 PROJECT = "default"
-HOOK_READERS = ("argocd-server", "argocd-applicationset-controller")
 NAMED_MAX = 3
-HOOK_ANNOTATION = "robotkube.io/hook-secret"
+# Deployments that the Job restarts, and the annotation of their pods that says for what.
+RESTARTED = {
+    "argocd-server": "robotkube.io/hook-secret",
+    "argocd-applicationset-controller": "robotkube.io/hook-secret",
+    "argocd-repo-server": "robotkube.io/trusted-servers",
+}
 Kubectl = Callable[..., str]
 Object = Mapping[str, Any]
 
@@ -81,10 +85,10 @@ def _present(kubectl: Kubectl) -> dict[str, Any]:
     data = _one(kubectl, f"secret/{SECRET}").get("data") or {}
     present[f"secret/{SECRET}"] = {"data": {key: data[key] for key in data if key.startswith(WRITTEN)}}
     present[f"appproject/{PROJECT}"] = {"spec": _one(kubectl, f"appproject/{PROJECT}").get("spec") or {}}
-    for name in HOOK_READERS:
+    for name, annotation in RESTARTED.items():
         template = _one(kubectl, f"deployment/{name}").get("spec", {}).get("template", {})
-        value = template.get("metadata", {}).get("annotations", {}).get(HOOK_ANNOTATION)
-        annotations = {HOOK_ANNOTATION: value}
+        value = template.get("metadata", {}).get("annotations", {}).get(annotation)
+        annotations = {annotation: value}
         present[f"deployment/{name}"] = {"spec": {"template": {"metadata": {"annotations": annotations}}}}
     return present
 

@@ -179,6 +179,9 @@ argocd:
   hook: {secret: /var/run/secrets/robotkube/hook/secret}
   closed_project: default
   hook_readers: [argocd-server, argocd-applicationset-controller]
+  {{- if include "robotkube.forgeEncrypted" . }}
+  trust_readers: [argocd-repo-server]
+  {{- end }}
 {{- end }}
 
 {{- define "robotkube.suiteRunnerSettings" -}}

@@ -89,6 +89,7 @@ SET_UP = {
     "configmaps argocd-rbac-cm": "get patch",
     "configmaps argocd-tls-certs-cm": "get patch",
     "deployments.apps argocd-applicationset-controller": "get patch",
+    "deployments.apps argocd-repo-server": "get patch",
     "deployments.apps argocd-server": "get patch",
     "secrets argocd-secret": "get patch",
 }

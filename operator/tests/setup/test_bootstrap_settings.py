@@ -46,6 +46,17 @@ def test_what_is_no_list_of_names_is_refused(tmp_path: Path, written: dict[str, 
         read_settings(settings_file(tmp_path, **written), read_configuration, FORMER_KEYS)
 
 
+def test_what_restarts_for_another_authority_may_be_left_out(tmp_path: Path) -> None:
+    def read(**written: Any) -> tuple[str, ...]:
+        path = settings_file(tmp_path, hook_readers=["argocd-server"], **written)
+        return read_settings(path, read_configuration, FORMER_KEYS).argocd.trust_readers
+
+    assert read() == ()
+    assert read(trust_readers=["argocd-repo-server"]) == ("argocd-repo-server",)
+    with pytest.raises(DocumentError, match=r"argocd\.trust_readers"):
+        read(trust_readers="argocd-repo-server")
+
+
 def test_the_former_key_is_taken_with_a_warning(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = settings_file(tmp_path, hook_reader="argocd-server")
     with caplog.at_level(logging.WARNING):

@@ -1,4 +1,5 @@
-"""The bootstrap closes Argo CD's hooks of forges that nobody uses, by the rights of its Job on a real API server."""
+"""The bootstrap closes Argo CD's hooks of forges that nobody uses and names who signs the forge's certificate, by the
+rights of its Job on a real API server."""
 
 from __future__ import annotations
 
@@ -106,6 +107,18 @@ def test_a_hook_that_people_use_goes_on(argocd: ArgoCD) -> None:
     argocd.write("webhook.gitlab.secret", "another of a person")
     assert argocd.set_up() == RESTARTS
     assert argocd.hooks["webhook.gitlab.secret"] == "another of a person"
+
+
+def test_who_reads_certificates_starts_again_when_another_authority_signs_them(argocd: ArgoCD) -> None:
+    argocd.set_up()
+    first = replace(SETUP, trusted={"forge.example": "one"}, trust_readers=("argocd-repo-server",))
+    changes = ["argocd-tls-certs-cm", "deployment argocd-repo-server"]
+    assert argocd.set_up(first) == changes
+    assert argocd.set_up(first) == []
+    assert argocd.set_up(replace(first, trusted={"forge.example": "another"})) == changes
+    assert argocd.set_up(SETUP) == []
+    kept = argocd.core.read_namespaced_config_map("argocd-tls-certs-cm", NAMESPACE).data
+    assert kept == {"forge.example": "another"}
 
 
 def test_an_upgrade_closes_what_the_version_before_left_open(argocd: ArgoCD) -> None:

@@ -89,7 +89,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> Bootstrap
     """Read the settings document of the Job."""
     root = reader.mapping(document, "", ["log_level", "wait_seconds", "argocd"], ["forge", "database"])
     keys = ["namespace", "account", "rbac", "hook", "closed_project"]
-    argocd = reader.mapping(root.get("argocd") or {}, "argocd", keys, ["hook_readers"])
+    argocd = reader.mapping(root.get("argocd") or {}, "argocd", keys, ["hook_readers", "trust_readers"])
     return BootstrapConfiguration(
         log_level=files.log_level(reader, root.get("log_level")),
         wait_seconds=_whole(reader, root.get("wait_seconds"), "wait_seconds", WAIT_SECONDS_MAX),
@@ -130,14 +130,20 @@ def _argocd(reader: Reader, argocd: Mapping[str, Any], trusted: Mapping[str, str
         closed_project=reader.word(argocd.get("closed_project"), "argocd.closed_project", WORD),
         hook_readers=_hook_readers(reader, argocd),
         trusted=trusted,
+        trust_readers=_deployments(reader, argocd, "trust_readers"),
     )
 
 
 def _hook_readers(reader: Reader, argocd: Mapping[str, Any]) -> tuple[str, ...]:
-    names = reader.sequence(argocd.get("hook_readers"), "argocd.hook_readers")
+    names = _deployments(reader, argocd, "hook_readers")
     if not names:
         reader.problems.append("argocd.hook_readers: must name what restarts on a new hook secret")
-    return tuple(reader.word(name, "argocd.hook_readers", WORD) for name in names)
+    return names
+
+
+def _deployments(reader: Reader, argocd: Mapping[str, Any], key: str) -> tuple[str, ...]:
+    path = f"argocd.{key}"
+    return tuple(reader.word(name, path, WORD) for name in reader.sequence(argocd.get(key), path))
 
 
 def _database(reader: Reader, value: Any) -> DatabaseConfiguration:

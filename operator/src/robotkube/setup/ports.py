@@ -89,6 +89,10 @@ class ArgoCDConfiguration(Protocol):
         """Restart a Deployment when, and only when, the hooks' secrets are not those it was last restarted for."""
         ...
 
+    def restart_on_trusted(self, deployment: str, trusted: Mapping[str, str]) -> bool:
+        """Restart a Deployment when, and only when, `trusted` (server -> PEM) is not what it was last restarted for."""
+        ...
+
 
 class InstalledReleases(Protocol):
     """The releases that Argo CD installed from the deployment repository; UnavailableError when the API server does not

@@ -252,5 +252,6 @@ def written_by_bootstrap(server: Server) -> None:
     server.merge(f"{core}/secrets/argocd-secret", {"data": data})
     closed = {"sourceRepos": [], "destinations": [], "namespaceResourceBlacklist": [{"group": "*", "kind": "*"}]}
     server.merge("/apis/argoproj.io/v1alpha1/namespaces/argocd/appprojects/default", {"spec": closed})
-    annotated = {"spec": {"template": {"metadata": {"annotations": {"robotkube.io/hook-secret": "f"}}}}}
-    server.merge("/apis/apps/v1/namespaces/argocd/deployments/argocd-server", annotated)
+    for name, annotation in (("server", "hook-secret"), ("repo-server", "trusted-servers")):
+        annotated = {"spec": {"template": {"metadata": {"annotations": {f"robotkube.io/{annotation}": "f"}}}}}
+        server.merge(f"/apis/apps/v1/namespaces/argocd/deployments/argocd-{name}", annotated)

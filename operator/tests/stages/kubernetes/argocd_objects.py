@@ -42,8 +42,9 @@ def make_argocd(api: client.ApiClient) -> None:
     key = {"server.secretkey": base64.b64encode(b"x" * 32).decode()}
     core.create_namespaced_secret(NAMESPACE, {"metadata": {"name": "argocd-secret"}, "data": key})
     core.create_namespaced_config_map(NAMESPACE, {"metadata": {"name": "argocd-cm"}, "data": {"url": "http://x"}})
-    core.create_namespaced_config_map(NAMESPACE, {"metadata": {"name": "argocd-rbac-cm"}})
-    for name in ("argocd-server", "argocd-applicationset-controller"):
+    for name in ("argocd-rbac-cm", "argocd-tls-certs-cm"):
+        core.create_namespaced_config_map(NAMESPACE, {"metadata": {"name": name}})
+    for name in ("argocd-server", "argocd-applicationset-controller", "argocd-repo-server"):
         client.AppsV1Api(api).create_namespaced_deployment(NAMESPACE, deployment(name))
     make_project(client.CustomObjectsApi(api))
 

@@ -20,7 +20,7 @@ from robotkube.errors import InputError, UnavailableError
 SECRET = "argocd-secret"  # noqa: S105 - the object's name
 SECONDS_MAX = 10
 PROJECT_API = ("argoproj.io", "v1alpha1")
-HOOK_ANNOTATION = "robotkube.io/hook-secret"
+HOOK_ANNOTATION, TRUST_ANNOTATION = "robotkube.io/hook-secret", "robotkube.io/trusted-servers"
 HOOK_KEYS = "webhook."  # with which keys of argocd-secret begin that check hooks
 RANDOM_BYTES = 32
 CLOSED: Mapping[str, Any] = {
@@ -111,12 +111,20 @@ class KubernetesArgoCDConfiguration:
     def restart_on_hook_secrets(self, deployment: str) -> bool:
         """Restart a Deployment when, and only when, the hooks' secrets are not those it was last restarted for."""
         hooks = {key: value for key, value in self._secret().items() if key.startswith(HOOK_KEYS)}
-        fingerprint = hashlib.sha256(json.dumps(hooks, sort_keys=True).encode()).hexdigest()[:16]
+        return self._restart(deployment, HOOK_ANNOTATION, hooks)
+
+    def restart_on_trusted(self, deployment: str, trusted: Mapping[str, str]) -> bool:
+        """Restart a Deployment when, and only when, `trusted` (server -> PEM) is not what it was last restarted for."""
+        return self._restart(deployment, TRUST_ANNOTATION, trusted)
+
+    def _restart(self, deployment: str, annotation: str, reason: Mapping[str, str]) -> bool:
+        """Restart it by an annotation of its pods, which is a fingerprint of `reason`, unless it stands there."""
+        fingerprint = hashlib.sha256(json.dumps(dict(reason), sort_keys=True).encode()).hexdigest()[:16]
         with self._errors(f"Deployment {deployment}"):
             present = self._apps.read_namespaced_deployment(deployment, self._namespace, _request_timeout=SECONDS_MAX)
-            if (present.spec.template.metadata.annotations or {}).get(HOOK_ANNOTATION) == fingerprint:
+            if (present.spec.template.metadata.annotations or {}).get(annotation) == fingerprint:
                 return False
-            body = {"spec": {"template": {"metadata": {"annotations": {HOOK_ANNOTATION: fingerprint}}}}}
+            body = {"spec": {"template": {"metadata": {"annotations": {annotation: fingerprint}}}}}
             self._apps.patch_namespaced_deployment(deployment, self._namespace, body, _request_timeout=SECONDS_MAX)
         return True
 

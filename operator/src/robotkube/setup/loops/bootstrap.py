@@ -117,7 +117,8 @@ class DatabaseAccount:
 class ArgoCDSetup:
     """Argo CD's side: `account` may log in with `password` and do what `rbac` (policy lines) says; `hook_secret` signs
     push hooks; AppProject `closed_project` allows nothing; Deployments `hook_readers` restart when secrets of hooks
-    change; certificates of the servers in `trusted` hold when the authorities there (PEM) signed them."""
+    change; certificates of the servers in `trusted` hold when the authorities there (PEM) signed them, and Deployments
+    `trust_readers` restart when these change."""
 
     account: str
     password: str
@@ -126,6 +127,7 @@ class ArgoCDSetup:
     closed_project: str
     hook_readers: tuple[str, ...]
     trusted: Mapping[str, str] = field(default_factory=dict)
+    trust_readers: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -241,8 +243,14 @@ class Bootstrap:
     def argocd(self, setup: ArgoCDSetup, argocd: ArgoCDConfiguration) -> None:
         """Account, rights, hook secrets, closed project; the restart of the hooks' readers comes last."""
         self._step("Argo CD answers", argocd.answers)
-        if setup.trusted:  # first: a kubelet brings it to the repo-server within about two minutes
+        if setup.trusted:
             self._step(TRUSTED_SERVERS, lambda: argocd.patch_config_map(TRUSTED_SERVERS, setup.trusted))
+            # A kubelet brings it to a pod that runs within two minutes, and Argo CD asks again after three.
+            for reader in setup.trust_readers:
+                self._step(
+                    f"deployment {reader}",
+                    lambda r=reader: argocd.restart_on_trusted(r, setup.trusted),  # type: ignore[misc]
+                )
         login = {f"accounts.{setup.account}": "login"}
         self._step("argocd-cm", lambda: argocd.patch_config_map("argocd-cm", login))
         rights = {"policy.robotkube.csv": setup.rbac}
