@@ -35,7 +35,8 @@ def commands(scenario: Scenario, kubeconfig: Path, forge: Endpoint, meanwhile: s
     person, agent = scenario.story.person, scenario.story.recording_agent
     scheme, _, place = forge.url.partition("//")
     clone = f"{scheme}//{person}:{PASSWORD.format(person=person)}@{place}/robotkube/deployment.git"
-    believing = f"-c http.sslCAInfo={AUTHORITY} " if forge.encrypted else ""
+    # By the environment: it counts more than http.sslCAInfo, and some machines have it set.
+    believing = f"GIT_SSL_CAINFO={AUTHORITY} " if forge.encrypted else ""
     programs = kubectl_folder()
     path = f' PATH="{programs}:$PATH"' if programs else ""
     yield "use this cluster (in the project's folder)", f"export KUBECONFIG={kubeconfig}{path}"
@@ -55,7 +56,7 @@ def commands(scenario: Scenario, kubeconfig: Path, forge: Endpoint, meanwhile: s
         yield "who signed the forge's certificate", f"{READING_AUTHORITY} > {AUTHORITY}"
     if meanwhile:
         yield "the way to the forge, for as long as it runs", meanwhile
-    yield "the deployment repository", f'git {believing}clone "{clone}" deployment'
+    yield "the deployment repository", f'{believing}git clone "{clone}" deployment'
     yield "every change with its cause", "git -C deployment log --format='%h %an %s%n%(trailers)'"
 
 

@@ -435,7 +435,7 @@ def test_the_commands_to_look_around_are_whole(scenario: definition.Scenario) ->
     assert "{person}" not in text
     by_tls = dict(inspection.commands(scenario, Path("kubeconfig"), Endpoint("10.96.0.9", 3000, encrypted=True)))
     [clone] = [command for command in by_tls.values() if "git" in command and "clone" in command]
-    assert all(part in clone for part in ("-c http.sslCAInfo=robotkube-ca.crt", "@10.96.0.9:3000/", '"https://'))
+    assert all(part in clone for part in ("GIT_SSL_CAINFO=robotkube-ca.crt git clone", "@10.96.0.9:3000/", '"https://'))
     assert r"jsonpath='{.data.ca\.crt}' > robotkube-ca.crt" in by_tls["who signed the forge's certificate"]
     assert "port-forward" not in text
     forwarded = inspection.lines(scenario, Path("kubeconfig"), Endpoint("localhost", 3000), "kubectl port-forward it")
