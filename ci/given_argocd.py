@@ -20,12 +20,9 @@ SECRET = "argocd-secret"  # noqa: S105 - the object's name
 WRITTEN = ("webhook.", "accounts.manager.")  # keys of that Secret; others stay where they are
 PROJECT = "default"
 NAMED_MAX = 3
-# Deployments that the Job restarts, and the annotation of their pods that says for what.
-RESTARTED = {
-    "argocd-server": "robotkube.io/hook-secret",
-    "argocd-applicationset-controller": "robotkube.io/hook-secret",
-    "argocd-repo-server": "robotkube.io/trusted-servers",
-}
+# Deployments that the Job restarts, and the annotations of their pods that say for what.
+RESTARTED = ("argocd-server", "argocd-applicationset-controller", "argocd-repo-server")
+RESTARTED_FOR = ("robotkube.io/hook-secret", "robotkube.io/trusted-servers")
 Kubectl = Callable[..., str]
 Object = Mapping[str, Any]
 
@@ -85,10 +82,10 @@ def _present(kubectl: Kubectl) -> dict[str, Any]:
     data = _one(kubectl, f"secret/{SECRET}").get("data") or {}
     present[f"secret/{SECRET}"] = {"data": {key: data[key] for key in data if key.startswith(WRITTEN)}}
     present[f"appproject/{PROJECT}"] = {"spec": _one(kubectl, f"appproject/{PROJECT}").get("spec") or {}}
-    for name, annotation in RESTARTED.items():
+    for name in RESTARTED:
         template = _one(kubectl, f"deployment/{name}").get("spec", {}).get("template", {})
-        value = template.get("metadata", {}).get("annotations", {}).get(annotation)
-        annotations = {annotation: value}
+        there = template.get("metadata", {}).get("annotations", {})
+        annotations = {annotation: there.get(annotation) for annotation in RESTARTED_FOR}
         present[f"deployment/{name}"] = {"spec": {"template": {"metadata": {"annotations": annotations}}}}
     return present
 

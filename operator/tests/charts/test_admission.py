@@ -105,7 +105,7 @@ def test_the_forge_knows_its_account_and_calls_it_for_the_catalogue_alone(render
     [hook] = [one for one in made.setup.webhooks if "//admission." in one.url]
     assert (hook.repository, hook.url) == (
         "robotkube/catalogue",
-        "http://admission.robotkube.svc.cluster.local:8080/webhook",
+        "https://admission.robotkube.svc.cluster.local:8080/webhook",
     )
     assert hook.secret == own.webhook_secret
     assert hook.secret not in [one.secret for one in made.setup.webhooks if one is not hook]
@@ -130,7 +130,7 @@ def test_its_pod_holds_no_signing_key_and_is_restricted(rendered: Rendered) -> N
     pod = dict(rendered.pods)["Deployment/admission"]
     sources = [source for one in pod["volumes"] for source in one.get("projected", {}).get("sources", ())]
     names = {source["secret"]["name"] for source in sources if "secret" in source}
-    assert names == {"forge-account-admission", "forge-webhook-admission"}
+    assert names == {"forge-account-admission", "forge-webhook-admission", "admission-tls"}
     [container] = pod["containers"]
     assert pod["securityContext"]["runAsNonRoot"]
     assert container["securityContext"] == {

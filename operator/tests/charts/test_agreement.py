@@ -41,6 +41,7 @@ from tests.stages.settings_mounted import GATE, mounted, write
 pytestmark = pytest.mark.toolchain
 
 PROFILES = Path(__file__).parent / "profiles"
+GATE_URL = "https://gate.robotkube-gate.svc.cluster.local:8080"
 PROCESSES: dict[str, Any] = {
     "bootstrap": bootstrap,
     "gate": gate,
@@ -101,7 +102,8 @@ def test_the_console_reads_the_settings_the_chart_writes(helm: Any, official: An
 def test_the_console_has_the_file_of_whom_it_believes_also_without_poses(helm: Any) -> None:
     """It signs in at a provider of that authority: at somebody else's broker it ended at its start."""
     authority = "-----BEGIN CERTIFICATE-----\nMIIB\n-----END CERTIFICATE-----\n"
-    secrets = dict.fromkeys(("database", "forge"), "theirs")
+    processes = dict.fromkeys(("gate", "manager", "suite-runner"), "theirs")
+    secrets = {"database": "theirs", "forge": "theirs", "processes": processes}
     values: Any = {
         "broker": {"kind": "external", "external": {"host": "mqtt.example"}},
         "tls": {"mode": "provided", "provided": secrets, "authorities": authority},
@@ -134,11 +136,11 @@ def test_probes_ask_the_port_for_health_and_services_the_other(
     listen = read_settings(mounted(rendered, process, tmp_path), PROCESSES[process].read_configuration).listen
     [container] = dict(rendered.pods)[f"Deployment/{process}"]["containers"]
     ports = {port["name"]: port["containerPort"] for port in container["ports"]}
-    assert ports == {"http": listen.port, "health": listen.health_port}
+    assert ports == {"https": listen.port, "health": listen.health_port}
     probes = [container[f"{kind}Probe"]["httpGet"] for kind in ("startup", "readiness", "liveness")]
     assert [probe["port"] for probe in probes] == ["health"] * 3
     [served] = rendered.one("Service", process, GATE if process == "gate" else None)["spec"]["ports"]
-    assert (served["port"], served["targetPort"]) == (listen.port, "http")
+    assert (served["port"], served["targetPort"]) == (listen.port, "https")
 
 
 def test_the_bootstrap_gets_all_seeds_and_accounts(official: Any, tmp_path: Path) -> None:
@@ -182,7 +184,7 @@ def test_each_webhook_has_a_secret_of_its_own_that_both_ends_know(helm: Any, tmp
     assert hearing.proposer_secrets == own
     assert len({hearing.webhook_secret, *own.values()}) == 3
     for name, found in managers.items():
-        assert found.gate_objects_url == f"http://gate.robotkube-gate.svc.cluster.local:8080{gate.OBJECTS_PATH}/{name}"
+        assert found.gate_objects_url == f"{GATE_URL}{gate.OBJECTS_PATH}/{name}"
     making = read_settings(mounted(rendered, "bootstrap", tmp_path / "bootstrap"), bootstrap.read_configuration)
     assert making.forge is not None
     called = {(str(httpx.URL(hook.url).host).partition(".")[0], hook.secret) for hook in making.forge.setup.webhooks}

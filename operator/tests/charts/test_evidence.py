@@ -21,9 +21,7 @@ PROFILE = Path(__file__).parent / "profiles" / "official.yaml"
 TEST_NAMESPACES = ("robotkube-suite-0", "robotkube-suite-1")
 CERTIFICATES = {
     "tls-authority",
-    "broker-tls",
-    "database-tls",
-    "forge-tls",
+    *(f"{name}-tls" for name in ("broker", "database", "forge", "gate", "manager", "rights", "suite-runner")),
 }  # what the process that keeps certificates fills
 GATE_KEYS = {"official": "gate-key", "embedded": "kept-gate-key"}
 
@@ -215,7 +213,7 @@ def test_the_suite_runner_gets_a_token_of_the_cluster_and_no_key(platform: Any) 
     assert pod["serviceAccountName"] == "suite-runner"
     [volume] = [volume for volume in pod["volumes"] if "projected" in volume]
     mounted = {source["secret"]["name"] for source in volume["projected"]["sources"]}
-    assert mounted == {"forge-account-suite-runner", "suite-runner-token"}
+    assert mounted == {"forge-account-suite-runner", "suite-runner-token", "suite-runner-tls"}
 
 
 def test_test_namespaces_have_a_ros_domain_each(helm: Any) -> None:

@@ -88,9 +88,7 @@ SET_UP = {
     "configmaps argocd-cm": "get patch",
     "configmaps argocd-rbac-cm": "get patch",
     "configmaps argocd-tls-certs-cm": "get patch",
-    "deployments.apps argocd-applicationset-controller": "get patch",
-    "deployments.apps argocd-repo-server": "get patch",
-    "deployments.apps argocd-server": "get patch",
+    **{f"deployments.apps argocd-{one}": "get patch" for one in ("applicationset-controller", "repo-server", "server")},
     "secrets argocd-secret": "get patch",
 }
 TEARING_DOWN = {"applications.argoproj.io": "list", "applicationsets.argoproj.io releases": "delete get"}

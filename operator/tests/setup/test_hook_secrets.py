@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import base64
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import pytest
 from kubernetes import client, config
 
+from robotkube.errors import UnavailableError
 from robotkube.setup.adapters.argocd_configuration import KubernetesArgoCDConfiguration
 from robotkube.setup.loops.bootstrap import ArgoCDSetup, Bootstrap
 from tests.stages.kubernetes.api_server import ApiServerProcess
@@ -45,11 +47,28 @@ class ArgoCD:
     core: client.CoreV1Api
     job: KubernetesArgoCDConfiguration
 
-    def set_up(self, setup: ArgoCDSetup = SETUP) -> list[str]:
+    def set_up(self, setup: ArgoCDSetup = SETUP, sleep: Callable[[float], None] = time.sleep) -> list[str]:
         """What a run of the steps changed."""
-        run = Bootstrap(30, time.monotonic, time.sleep)
+        run = Bootstrap(30, time.monotonic, sleep)
         run.argocd(setup, self.job)
         return run.changed
+
+    def restarted(self) -> set[str]:
+        """Deployments whose pods are asked for anew since they were made."""
+        return {one.metadata.name for one in self._deployments() if one.metadata.generation > 1}
+
+    def pods(self, deployment: str, old: int = 0, new: int = 0) -> None:
+        """What the controller of Deployments says of one: how many pods there are, all of them ready."""
+        [found] = [one for one in self._deployments() if one.metadata.name == deployment]
+        counts = {"replicas": old + new, "availableReplicas": old + new, "readyReplicas": old + new}
+        status = {"observedGeneration": found.metadata.generation, "updatedReplicas": new, **counts}
+        client.AppsV1Api(self.core.api_client).patch_namespaced_deployment_status(
+            deployment, NAMESPACE, {"status": status}
+        )
+
+    def _deployments(self) -> list[Any]:
+        items: list[Any] = client.AppsV1Api(self.core.api_client).list_namespaced_deployment(NAMESPACE).items
+        return items
 
     def write(self, key: str, value: str) -> None:
         """A value that a person enters."""
@@ -109,16 +128,44 @@ def test_a_hook_that_people_use_goes_on(argocd: ArgoCD) -> None:
     assert argocd.hooks["webhook.gitlab.secret"] == "another of a person"
 
 
-def test_who_reads_certificates_starts_again_when_another_authority_signs_them(argocd: ArgoCD) -> None:
-    argocd.set_up()
-    first = replace(SETUP, trusted={"forge.example": "one"}, trust_readers=("argocd-repo-server",))
-    changes = ["argocd-tls-certs-cm", "deployment argocd-repo-server"]
-    assert argocd.set_up(first) == changes
+TRUST_READER = "argocd-repo-server"
+
+
+def test_who_asks_the_repo_server_starts_again_when_it_believes_the_authority(argocd: ArgoCD) -> None:
+    """Before that the ApplicationSet controller could not generate anything, and would try again in three minutes."""
+    seen: list[set[str]] = []
+    rollout = iter([{"old": 1}, {"old": 1, "new": 1}, {"new": 1}])
+
+    def sleep(seconds: float) -> None:
+        seen.append(argocd.restarted())
+        argocd.pods(TRUST_READER, **next(rollout))
+
+    first = replace(SETUP, trusted={"forge.example": "one"}, trust_readers=(TRUST_READER,))
+    changed = argocd.set_up(first, sleep)
+    assert seen == [{TRUST_READER}] * 3
+    assert [one for one in changed if "deployment" in one] == [f"deployment {TRUST_READER}", *RESTARTS]
+    assert argocd.restarted() == {TRUST_READER, *READERS}
     assert argocd.set_up(first) == []
-    assert argocd.set_up(replace(first, trusted={"forge.example": "another"})) == changes
+
+
+def test_another_authority_restarts_who_verifies_by_it(argocd: ArgoCD) -> None:
+    def sleep(seconds: float) -> None:
+        argocd.pods(TRUST_READER, new=1)
+
+    first = replace(SETUP, trusted={"forge.example": "one"}, trust_readers=(TRUST_READER,))
+    argocd.set_up(first, sleep)
+    changes = ["argocd-tls-certs-cm", f"deployment {TRUST_READER}", *RESTARTS]
+    assert argocd.set_up(replace(first, trusted={"forge.example": "another"}), sleep) == changes
     assert argocd.set_up(SETUP) == []
     kept = argocd.core.read_namespaced_config_map("argocd-tls-certs-cm", NAMESPACE).data
     assert kept == {"forge.example": "another"}
+
+
+def test_a_restart_that_does_not_end_is_told(argocd: ArgoCD) -> None:
+    run = Bootstrap(0, time.monotonic, time.sleep)
+    first = replace(SETUP, trusted={"forge.example": "one"}, trust_readers=(TRUST_READER,))
+    with pytest.raises(UnavailableError, match="argocd/argocd-repo-server: 0 of 1 new pods are ready"):
+        run.argocd(first, argocd.job)
 
 
 def test_an_upgrade_closes_what_the_version_before_left_open(argocd: ArgoCD) -> None:

@@ -6,8 +6,14 @@ from typing import Any
 
 EXTERNAL = {"kind": "external", "external": {"host": "mqtt.example", "port": 8883}}
 AUTHORITY = "-----BEGIN CERTIFICATE-----\nMIIB\n-----END CERTIFICATE-----\n"
-PROVIDED = {"secret": "mine", "database": "mine", "forge": "mine"}
 PROCESSES = dict.fromkeys(("gate", "manager", "rights", "suite-runner"), "mine")
+PROVIDED = {"secret": "mine", "database": "mine", "forge": "mine", "processes": PROCESSES}
+
+
+def provided_but(name: str) -> dict[str, Any]:
+    """A Secret of one's own for each server but this."""
+    return {key: value for key, value in PROVIDED.items() if key != name}
+
 
 TLS_REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
     "certificates made for a broker of somebody else": (
@@ -23,7 +29,7 @@ TLS_REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
         "tls.mode is provided, but tls.authorities is empty: nobody could verify the broker. Put the PEM",
     ),
     "nobody to trust an Issuer": (
-        {"tls": {"mode": "cert-manager", "issuer": {"name": "ours"}}},
+        {"tls": {"mode": "cert-manager", "issuer": {"name": "ours", "kind": "ClusterIssuer"}}},
         "tls.mode is cert-manager, but tls.authorities is empty",
     ),
     "an authority that is a private key": (
@@ -45,7 +51,7 @@ TLS_REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
         "tls.authorities is given, but tls.mode is made: nobody would trust them. Set the mode to provided or",
     ),
     "a provided certificate without a Secret": (
-        {"tls": {"mode": "provided", "provided": {"database": "mine", "forge": "mine"}, "authorities": AUTHORITY}},
+        {"tls": {"mode": "provided", "provided": provided_but("secret"), "authorities": AUTHORITY}},
         "tls.mode is provided, but tls.provided.secret is empty. Name the Secret",
     ),
     "a Secret that nobody mounts": (
@@ -53,7 +59,7 @@ TLS_REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
         "tls.provided.secret is given, but tls.mode is made. Set the mode to provided, or leave the Secret out.",
     ),
     "a provided certificate of the broker alone": (
-        {"tls": {"mode": "provided", "provided": {"secret": "mine", "forge": "mine"}, "authorities": AUTHORITY}},
+        {"tls": {"mode": "provided", "provided": provided_but("database"), "authorities": AUTHORITY}},
         "tls.mode is provided, but tls.provided.database is empty. Name the Secret in the platform's namespace that",
     ),
     "a Secret of the database that nobody mounts": (
@@ -61,7 +67,7 @@ TLS_REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
         "tls.provided.database is given, but tls.mode is made and database.kind mongo: nobody mounts it. Leave it out",
     ),
     "a provided certificate of all but the forge": (
-        {"tls": {"mode": "provided", "provided": {"secret": "mine", "database": "mine"}, "authorities": AUTHORITY}},
+        {"tls": {"mode": "provided", "provided": provided_but("forge"), "authorities": AUTHORITY}},
         "tls.mode is provided, but tls.provided.forge is empty. Name the Secret in the platform's namespace that has",
     ),
     "a Secret of the forge that nobody mounts": (
@@ -114,7 +120,7 @@ TLS_REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
         "database.external.tls is true, but tls.authorities is empty: nobody could verify the database. Set",
     ),
     "an Issuer without a name": (
-        {"tls": {"mode": "cert-manager", "authorities": AUTHORITY}},
+        {"tls": {"mode": "cert-manager", "authorities": AUTHORITY, "issuer": {"kind": "ClusterIssuer"}}},
         "tls.mode is cert-manager, but tls.issuer.name is empty. Name the Issuer",
     ),
     "an Issuer that nobody asks": (

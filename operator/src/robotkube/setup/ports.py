@@ -85,12 +85,13 @@ class ArgoCDConfiguration(Protocol):
         """Make an AppProject allow nothing."""
         ...
 
-    def restart_on_hook_secrets(self, deployment: str) -> bool:
-        """Restart a Deployment when, and only when, the hooks' secrets are not those it was last restarted for."""
+    def restart_on_change(self, deployment: str, hooks: bool, trusted: Mapping[str, str]) -> bool:
+        """Restart a Deployment when, and only when, `trusted` (server -> PEM, if any) or, with `hooks`, the secrets of
+        hooks are not those it was last restarted for."""
         ...
 
-    def restart_on_trusted(self, deployment: str, trusted: Mapping[str, str]) -> bool:
-        """Restart a Deployment when, and only when, `trusted` (server -> PEM) is not what it was last restarted for."""
+    def rolled_out(self, deployment: str) -> bool:
+        """Check that the pods of a Deployment are those it asks for now, and ready: False, UnavailableError before."""
         ...
 
 

@@ -252,6 +252,7 @@ def written_by_bootstrap(server: Server) -> None:
     server.merge(f"{core}/secrets/argocd-secret", {"data": data})
     closed = {"sourceRepos": [], "destinations": [], "namespaceResourceBlacklist": [{"group": "*", "kind": "*"}]}
     server.merge("/apis/argoproj.io/v1alpha1/namespaces/argocd/appprojects/default", {"spec": closed})
-    for name, annotation in (("server", "hook-secret"), ("repo-server", "trusted-servers")):
-        annotated = {"spec": {"template": {"metadata": {"annotations": {f"robotkube.io/{annotation}": "f"}}}}}
+    for name, keys in (("server", ("hook-secret", "trusted-servers")), ("repo-server", ("trusted-servers",))):
+        annotations = {f"robotkube.io/{key}": "f" for key in keys}
+        annotated = {"spec": {"template": {"metadata": {"annotations": annotations}}}}
         server.merge(f"/apis/apps/v1/namespaces/argocd/deployments/argocd-{name}", annotated)

@@ -117,8 +117,7 @@ def burglar(platform: Platform) -> SuiteRule:
     """It knows the addresses, there being no names in a test namespace where network policies are enforced. Nothing
     answers it there; where they are not, everybody does, and refuses."""
     rule = custom("burglar", BURGLAR, installs=True)
-    places = [platform.access.endpoint(name) for name in ("forge", "suite-runner")]
-    urls = [f"http://{place.host}:{place.port}" for place in places]
+    urls = [platform.access.endpoint(name).url for name in ("forge", "suite-runner")]
     return replace(rule, command=(*rule.command, *urls, network_policies.choice()))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,10 @@ from robotkube.registry.evidence.core.statements import Artefact, SuiteResult
 from robotkube.registry.evidence.core.verification_policy import SuiteRule
 from robotkube.registry.suites.adapters.runner_protocol import SuiteRunnerClient
 from robotkube.registry.suites.core.requests import SuiteRequest
+from tests.stages.network.resolved_names import resolved
 from tests.stages.platform.running_platform import Platform, eventually
 
+SUITE_RUNNER = "suite-runner.robotkube.svc"
 STAGING = "staging"
 EMPTY_SECONDS_MAX = 120.0
 
@@ -44,7 +47,7 @@ def results(platform: Platform, requests: Mapping[str, SuiteRequest], seconds: f
     """What the suite-runner says of each; all are asked for at once and run in the test namespaces of the pool."""
     where = platform.access.endpoint("suite-runner")
     token = platform.access.secret("robotkube", "suite-runner-token")["token"]
-    runner = SuiteRunnerClient(f"http://{where.host}:{where.port}", token)
+    runner = SuiteRunnerClient(replace(where, host=SUITE_RUNNER).url, token)
     found: dict[str, SuiteResult] = {}
 
     def finished() -> bool:
@@ -55,7 +58,8 @@ def results(platform: Platform, requests: Mapping[str, SuiteRequest], seconds: f
         return len(found) == len(requests)
 
     try:
-        eventually("the suite-runner has run all suites", finished, seconds)
+        with resolved(SUITE_RUNNER, where.host):
+            eventually("the suite-runner has run all suites", finished, seconds)
     finally:
         runner.disconnect()
     return found

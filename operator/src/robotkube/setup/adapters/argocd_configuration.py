@@ -108,25 +108,32 @@ class KubernetesArgoCDConfiguration:
             )
         return True
 
-    def restart_on_hook_secrets(self, deployment: str) -> bool:
-        """Restart a Deployment when, and only when, the hooks' secrets are not those it was last restarted for."""
-        hooks = {key: value for key, value in self._secret().items() if key.startswith(HOOK_KEYS)}
-        return self._restart(deployment, HOOK_ANNOTATION, hooks)
-
-    def restart_on_trusted(self, deployment: str, trusted: Mapping[str, str]) -> bool:
-        """Restart a Deployment when, and only when, `trusted` (server -> PEM) is not what it was last restarted for."""
-        return self._restart(deployment, TRUST_ANNOTATION, trusted)
-
-    def _restart(self, deployment: str, annotation: str, reason: Mapping[str, str]) -> bool:
-        """Restart it by an annotation of its pods, which is a fingerprint of `reason`, unless it stands there."""
-        fingerprint = hashlib.sha256(json.dumps(dict(reason), sort_keys=True).encode()).hexdigest()[:16]
+    def restart_on_change(self, deployment: str, hooks: bool, trusted: Mapping[str, str]) -> bool:
+        """Restart a Deployment when, and only when, `trusted` (server -> PEM, if any) or, with `hooks`, the secrets of
+        hooks are not those it was last restarted for."""
+        wanted = {TRUST_ANNOTATION: _fingerprint(trusted)} if trusted else {}
+        if hooks:
+            secret = self._secret()
+            wanted[HOOK_ANNOTATION] = _fingerprint({key: secret[key] for key in secret if key.startswith(HOOK_KEYS)})
         with self._errors(f"Deployment {deployment}"):
             present = self._apps.read_namespaced_deployment(deployment, self._namespace, _request_timeout=SECONDS_MAX)
-            if (present.spec.template.metadata.annotations or {}).get(annotation) == fingerprint:
+            if wanted.items() <= (present.spec.template.metadata.annotations or {}).items():
                 return False
-            body = {"spec": {"template": {"metadata": {"annotations": {annotation: fingerprint}}}}}
+            body = {"spec": {"template": {"metadata": {"annotations": wanted}}}}
             self._apps.patch_namespaced_deployment(deployment, self._namespace, body, _request_timeout=SECONDS_MAX)
         return True
+
+    def rolled_out(self, deployment: str) -> bool:
+        """Check that the pods of a Deployment are those it asks for now, and ready: False, UnavailableError before."""
+        with self._errors(f"Deployment {deployment}"):
+            found = self._apps.read_namespaced_deployment(deployment, self._namespace, _request_timeout=SECONDS_MAX)
+        asked, status = found.spec.replicas, found.status
+        seen = status.observed_generation == found.metadata.generation
+        counted = {status.replicas or 0, status.updated_replicas or 0, status.available_replicas or 0}
+        if not seen or counted != {asked}:
+            ready = min(status.updated_replicas or 0, status.available_replicas or 0) if seen else 0
+            raise UnavailableError(f"{self._namespace}/{deployment}: {ready} of {asked} new pods are ready")
+        return False
 
     @contextlib.contextmanager
     def _errors(self, what: str) -> Iterator[None]:
@@ -140,3 +147,7 @@ class KubernetesArgoCDConfiguration:
             raise InputError(f"{text}; the Role of the bootstrap Job must allow get and patch on it") from error
         except (HTTPError, OSError) as error:
             raise UnavailableError(f"{where}: the API server does not answer: {error}") from error
+
+
+def _fingerprint(values: Mapping[str, str]) -> str:
+    return hashlib.sha256(json.dumps(dict(values), sort_keys=True).encode()).hexdigest()[:16]

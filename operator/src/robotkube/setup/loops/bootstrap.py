@@ -116,9 +116,9 @@ class DatabaseAccount:
 @dataclass(frozen=True)
 class ArgoCDSetup:
     """Argo CD's side: `account` may log in with `password` and do what `rbac` (policy lines) says; `hook_secret` signs
-    push hooks; AppProject `closed_project` allows nothing; Deployments `hook_readers` restart when secrets of hooks
-    change; certificates of the servers in `trusted` hold when the authorities there (PEM) signed them, and Deployments
-    `trust_readers` restart when these change."""
+    push hooks; AppProject `closed_project` allows nothing; certificates of the servers in `trusted` hold when the
+    authorities there (PEM) signed them. Deployments `trust_readers` restart when these change, and after them
+    `hook_readers`, also when secrets of hooks change."""
 
     account: str
     password: str
@@ -241,16 +241,13 @@ class Bootstrap:
             )
 
     def argocd(self, setup: ArgoCDSetup, argocd: ArgoCDConfiguration) -> None:
-        """Account, rights, hook secrets, closed project; the restart of the hooks' readers comes last."""
+        """Authorities, account, rights, hook secrets, closed project. Last, when those who read authorities have
+        them, the hooks' readers restart: an ApplicationSet that failed is generated again after three minutes, whatever
+        hooks say meanwhile."""
         self._step("Argo CD answers", argocd.answers)
         if setup.trusted:
             self._step(TRUSTED_SERVERS, lambda: argocd.patch_config_map(TRUSTED_SERVERS, setup.trusted))
-            # A kubelet brings it to a pod that runs within two minutes, and Argo CD asks again after three.
-            for reader in setup.trust_readers:
-                self._step(
-                    f"deployment {reader}",
-                    lambda r=reader: argocd.restart_on_trusted(r, setup.trusted),  # type: ignore[misc]
-                )
+            self._restart_for_trusted(setup, argocd)
         login = {f"accounts.{setup.account}": "login"}
         self._step("argocd-cm", lambda: argocd.patch_config_map("argocd-cm", login))
         rights = {"policy.robotkube.csv": setup.rbac}
@@ -259,8 +256,22 @@ class Bootstrap:
         secrets = {HOOK_SECRET: setup.hook_secret}
         self._step("hook secrets", lambda: argocd.set_hook_secrets(secrets, UNUSED_HOOKS))
         self._step(f"project {setup.closed_project}", lambda: argocd.close_project(setup.closed_project))
+        if setup.trusted:
+            for reader in setup.trust_readers:
+                self._step(f"deployment {reader} rolled out", lambda r=reader: argocd.rolled_out(r))  # type: ignore[misc]
         for reader in setup.hook_readers:
-            self._step(f"deployment {reader}", lambda r=reader: argocd.restart_on_hook_secrets(r))  # type: ignore[misc]
+            self._step(
+                f"deployment {reader}",
+                lambda r=reader: argocd.restart_on_change(r, hooks=True, trusted=setup.trusted),  # type: ignore[misc]
+            )
+
+    def _restart_for_trusted(self, setup: ArgoCDSetup, argocd: ArgoCDConfiguration) -> None:
+        """A kubelet brings the authorities to a pod that runs within two minutes only."""
+        for reader in setup.trust_readers:
+            self._step(
+                f"deployment {reader}",
+                lambda r=reader: argocd.restart_on_change(r, hooks=False, trusted=setup.trusted),  # type: ignore[misc]
+            )
 
 
 def _make_team(forge: ForgeAdministration, team: Team) -> bool:

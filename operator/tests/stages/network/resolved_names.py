@@ -1,0 +1,21 @@
+"""A name that this process alone resolves, for servers whose certificate has their name and not their address."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+from unittest import mock
+
+
+@contextmanager
+def resolved(name: str, address: str) -> Iterator[None]:
+    """Connections to `name` go to `address` meanwhile."""
+    lookup = socket.getaddrinfo
+
+    def found(host: Any, *more: Any, **options: Any) -> Any:
+        return lookup(address if host in (name, name.encode()) else host, *more, **options)
+
+    with mock.patch("socket.getaddrinfo", found):
+        yield
