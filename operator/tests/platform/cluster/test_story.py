@@ -74,7 +74,7 @@ def test_the_commands_to_look_around_work(platform: Platform, story: Story, tmp_
     for entry in PROJECT.iterdir():
         if not entry.name.startswith("."):
             (tmp_path / entry.name).symlink_to(entry)
-    forge = platform.access.forge()
+    forge = platform.access.endpoint("forge")  # as a person reaches it, not this process
     commands = list(inspection.commands(platform.scenario, platform.installer.kubeconfig, forge))
     assert all(command in story.output for _, command in commands)
     script = "\n".join(f"echo '== {number}'\n{command}" for number, (_, command) in enumerate(commands))
