@@ -230,13 +230,14 @@ cat {{ $folder }}/tls.crt {{ $folder }}/tls.key > /run/database/tls.pem
 exec docker-entrypoint.sh mongod "$@"
 {{- end }}
 
-{{- /* Runs the forge. It reads certificate and key at its start alone, but on SIGHUP it starts a second process that takes over the open
+{{- /* Runs the forge. It reads certificate, key and whom to believe at its start alone, but on SIGHUP it starts a second process that takes over the open
        port, and ends when it has answered what it was asked. A connection that it accepts as its last it ends unread: who made that asks
        again. So this shell stays, and knows the one that serves by its file; when there is none a second time, the forge has ended. */ -}}
 {{- define "robotkube.forgeProgram" -}}
 {{- $run := "/run/forge" -}}
 serving() { kill "-$1" "$(cat {{ $run }}/pid)" 2> /dev/null; }
 rest() { sleep "$1" & wait $! || :; }
+changed() { [ /etc/forge-tls/tls.crt -nt "$read" ] || [ /etc/robotkube/authorities/ca.crt -nt "$read" ]; }
 pause=5
 trap 'pause=1; serving TERM' TERM
 read={{ $run }}/certificate-read
@@ -247,7 +248,7 @@ missed=0
 while [ $missed -lt 2 ]; do
   rest $pause
   if serving 0; then missed=0; else missed=$((missed + 1)); continue; fi
-  if [ /etc/forge-tls/tls.crt -nt "$read" ]; then
+  if changed; then
     : > "$read"
     former=$(cat {{ $run }}/pid) waited=0
     serving HUP

@@ -1,5 +1,5 @@
 """The forge as the chart starts it with `forge.tls`, a real Gitea: Git, charts and webhooks by TLS, who is refused and
-in what words, and that a renewed certificate is shown without a lost request."""
+in what words, and that a renewed certificate is shown, and another authority believed, without a lost request."""
 
 from __future__ import annotations
 
@@ -75,6 +75,7 @@ class EncryptedForge:
             " /data": f" {self.folder}/data",
             "/run/forge": f"{self.folder}/run",
             "/etc/forge-tls": str(self.folder),
+            "/etc/robotkube/authorities": str(self.folder),
             "/etc/forge-hooks": str(PLATFORM / "files" / "forge-hooks"),
             "/etc/gitea": str(self.folder),
             "/var/run/secrets/robotkube": str(self.folder),
@@ -252,6 +253,27 @@ def test_a_webhook_is_not_sent_to_whom_another_authority_signed_for(stage: Stage
         refused = "x509: certificate signed by unknown authority"
         until(lambda: refused in (stage.forge.folder / "log").read_text(), "the refusal in the forge's log")
         assert heard == []
+    finally:
+        administration.remove_webhook(DEPLOYMENT, url)
+        administration.disconnect()
+        server.stop()
+
+
+def test_another_authority_is_believed_when_the_kubelet_has_brought_it(stage: Stage, tmp_path: Path) -> None:
+    """Not when the forge starts the next time: whom it calls has the other certificate by then."""
+    heard: list[WebhookDelivery] = []
+    other, folder = new_authority("another", time.time()), stage.forge.folder
+    server = hearing(tmp_path, other, heard)
+    url = f"https://localhost:{server.port}/webhook"
+    administration = GiteaAdministration(stage.forge.url, *stage.forge.administrator())
+    former = (folder / "run" / "pid").read_text()
+    try:
+        administration.make_webhook(DEPLOYMENT, url, ["push"], WEBHOOK_SECRET)
+        (tmp_path / "ca.crt").write_text(stage.forge.authority.certificate + other.certificate)
+        (tmp_path / "ca.crt").replace(folder / "ca.crt")
+        until(lambda: (folder / "run" / "pid").read_text() != former, "another process of the forge")
+        merge(stage, stage.clone(tmp_path / "gate"), "three")
+        until(lambda: bool(heard), "the webhook to whom it believes now")
     finally:
         administration.remove_webhook(DEPLOYMENT, url)
         administration.disconnect()
