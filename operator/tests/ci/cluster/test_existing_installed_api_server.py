@@ -43,6 +43,7 @@ AGENTS = {
     "machine-3": ("vehicle", "vehicle-00"),
 }
 TOPOLOGY = Topology(tuple(NodeSpec(agent, role, agent, 1000, 1 << 30, ()) for role, agent in AGENTS.values()))
+SERVICE_ADDRESSES = "/apis/networking.k8s.io/v1/servicecidrs/kubernetes"
 PARTS = ("application-controller", "applicationset-controller", "repo-server", "server")
 MERGE = {"Content-Type": "application/merge-patch+json"}
 READY = {"phase": "Running", "conditions": [{"type": "Ready", "status": "True"}]}
@@ -105,6 +106,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
             theirs = {"meta.helm.sh/release-name": "theirs", "meta.helm.sh/release-namespace": "robotkube"}
             made.make("/api/v1/namespaces", {"metadata": {"name": "theirs", "labels": labels, "annotations": theirs}})
             until(lambda: "kube-root-ca.crt" in made.client.get("/api/v1/namespaces/theirs/configmaps").text, "settled")
+            until(lambda: "finalizers" in made.client.get(SERVICE_ADDRESSES).text, "a controller keeps the addresses")
             yield made
     finally:
         process.stop()
