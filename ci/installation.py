@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -17,7 +17,7 @@ from typing import Any
 
 import yaml
 
-from ci import evidence, given_argocd, toolchain
+from ci import component_lines, evidence, given_argocd, toolchain
 from ci.client_certificates import client_certificate
 from ci.cluster.provider import ChartProfile, ServicePort
 from ci.cluster.topology import Topology, chart_agents
@@ -42,6 +42,7 @@ PLATFORM_IMAGES = ("platform", "suites", "ros", "mosquitto", "gitea", "ferretdb"
 AGENT = "robotkube.io/agent"  # label of volume claims and volumes
 KEY_SECRET = "evidence-key"  # noqa: S105
 LOG_LINES = 15
+TIMED_OUT = "timed out waiting for the condition"  # what Helm and kubectl say, and not for what
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ class Installer:
         return self._run("helm", arguments, None, seconds)
 
     def _run(self, program: str, arguments: Sequence[str], text: str | None, seconds: int) -> str:
-        command = [str(self.binaries / program), "--kubeconfig", str(self.kubeconfig), *arguments]
+        command = [*self._command(program), *arguments]
         try:
             done = subprocess.run(command, input=text, capture_output=True, text=True, timeout=seconds, check=False)
         except subprocess.TimeoutExpired as error:
@@ -71,6 +72,9 @@ class Installer:
         if done.returncode:
             raise SetUpError(f"{program} {' '.join(arguments[:4])}: {done.stderr.strip()[-1500:]}")
         return done.stdout
+
+    def _command(self, program: str) -> list[str]:
+        return [str(self.binaries / program), "--kubeconfig", str(self.kubeconfig)]
 
     def argocd(self, references: Mapping[str, str]) -> str:
         """Apply Argo CD's own manifests, with our images, and wait until its definitions are known. One that somebody
@@ -143,9 +147,10 @@ class Installer:
         topology: Topology,
         chart: Path = CHART,
         values: Mapping[str, Any] = NO_VALUES,
+        say: Callable[[str], None] = lambda line: None,
     ) -> None:
         """`helm upgrade --install robotkube` with the cluster's profile, the images and the agents of the topology, and
-        further `values`.
+        further `values`. `say` is told of each component when it is ready, and of what hangs.
 
         Two namespaces come first: a chart cannot say that its own takes only restricted pods, and the gate's has the
         key in it before the gate starts.
@@ -161,18 +166,26 @@ class Installer:
         place.write_text(yaml.safe_dump(given), encoding="utf-8")
         files = [*(chart / name for name in self.profile.files), place]
         options = ["-n", NAMESPACE, *(word for file in files for word in ("-f", str(file)))]
-        try:
-            self.helm(
-                "upgrade", "--install", NAMESPACE, str(chart), *options, "--timeout", f"{INSTALL_TIMEOUT_SECONDS}s"
-            )
-        except SetUpError as error:
-            states = "\n".join(map(self.state, (NAMESPACE, GATE, ARGOCD)))
-            raise SetUpError(f"{error}\n{states}") from error
-        self.bind_claims()
-        for namespace in (NAMESPACE, GATE, ARGOCD):
-            self.rollout(namespace)
+        install = ("upgrade", "--install", NAMESPACE, str(chart), *options)
+        namespaces = (NAMESPACE, GATE, ARGOCD)
+        with component_lines.following(self._command("kubectl"), namespaces, say) as components:
+            try:
+                self._install(install, namespaces)
+            except SetUpError as error:
+                raise SetUpError(what_hangs(str(error), components.hanging())) from error
         if chart == CHART:  # until then an older gate had the key there
             self.kubectl("-n", NAMESPACE, "delete", "secret", KEY_SECRET, "--ignore-not-found")
+
+    def _install(self, command: Sequence[str], namespaces: Sequence[str]) -> None:
+        """Run Helm's command and wait for what it installs."""
+        try:
+            self.helm(*command, "--timeout", f"{INSTALL_TIMEOUT_SECONDS}s")
+        except SetUpError as error:
+            states = "\n".join(map(self.state, namespaces))
+            raise SetUpError(f"{error}\n{states}") from error
+        self.bind_claims()
+        for namespace in namespaces:
+            self.rollout(namespace)
 
     def console(self) -> ServicePort | None:
         """The console's Service; None where the chart was installed without one."""
@@ -235,6 +248,11 @@ class Installer:
         except SetUpError as error:
             return f"(state of {namespace} cannot be read: {error})"
         return "\n".join(lines)
+
+
+def what_hangs(text: str, hanging: Sequence[str]) -> str:
+    """What a program says that waited in vain, with what hangs in the place of its words for that."""
+    return text.replace(TIMED_OUT, "\n".join(hanging)) if hanging else text
 
 
 def moved(reference: str, registry: str) -> str:

@@ -82,7 +82,7 @@ def bring_up(request: Request, steps: Steps) -> Installer:
     with steps.step("Argo CD") as step:
         step.note = installer.argocd(prepared.references())
     with steps.step("platform") as step:
-        installer.platform(prepared.references(), wanted, values=request.values)
+        installer.platform(prepared.references(), wanted, values=request.values, say=step.progress)
         step.progress(where_to_look(installer, provider))
         if machines := provider.machines():
             nodes = publish.find_forge(kubeconfig, publish.PULL_ACCOUNT)
