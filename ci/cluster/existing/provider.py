@@ -89,7 +89,7 @@ class Existing:
         there = [name for name in (NAMESPACE, GATE, ARGOCD) if self._is_added(self._nodes.namespace(name))]
         changes = self._nodes.planned(labels.removing)
         if there or changes:
-            goes = [f"what was installed goes, with namespaces {', '.join(there)} and those of agents"] if there else []
+            goes = [removing.goes(self._installer(), ADDED)] if there else []
             self._nodes.agree([*goes, *changes])
         removed = removing.remove(self._installer(), ADDED) if there else ()
         written = self._nodes.write(labels.removing, changes)

@@ -38,15 +38,30 @@ def remove(installer: Installer, added: Mapping[str, str]) -> tuple[str, ...]:
     before the chart. SetUpError says what could not be removed."""
     lines = [*_release(installer), *given_argocd.give_back(installer.kubectl)]
     left = _kept_by_helm(installer)
-    namespaces = list(dict.fromkeys([*_named(left, NAMESPACES), *_with(installer, added)]))
+    namespaces = _namespaces(installer, left, added)
     own_argocd = ARGOCD in namespaces
-    goes = [*_outside(left, namespaces), *((kind, name, "") for kind, name in OF_ARGOCD if own_argocd)]
-    goes += [(NAMESPACES, name, "") for name in namespaces]
-    for kind, name, namespace in sorted(goes, key=lambda one: one[0] == "CustomResourceDefinition"):
+    going = [*_outside(left, namespaces), *((kind, name, "") for kind, name in OF_ARGOCD if own_argocd)]
+    going += [(NAMESPACES, name, "") for name in namespaces]
+    for kind, name, namespace in sorted(going, key=lambda one: one[0] == "CustomResourceDefinition"):
         where = ("-n", namespace) if namespace else ()
         installer.kubectl(*where, "delete", kind.lower(), name, "--ignore-not-found", "--wait=false")
-    _wait_gone(installer, goes)
-    return (*lines, *(f"{kind} {f'{namespace}/' if namespace else ''}{name}" for kind, name, namespace in goes))
+    _wait_gone(installer, going)
+    return (*lines, *(f"{kind} {f'{namespace}/' if namespace else ''}{name}" for kind, name, namespace in going))
+
+
+def goes(installer: Installer, added: Mapping[str, str]) -> str:
+    """The sentence that names the namespaces that `remove` would take away, and the volume claims that go with them."""
+    namespaces = _namespaces(installer, _kept_by_helm(installer), added)
+    found = json.loads(installer.kubectl("get", "persistentvolumeclaims", "-A", "-o", "json"))["items"]
+    places = ((one["metadata"]["namespace"], one["metadata"]["name"]) for one in found)
+    claims = [f"{namespace}/{name}" for namespace, name in places if namespace in namespaces]
+    lost = f", and what is in volume claims {', '.join(claims)}" if claims else ""
+    return f"what was installed goes, with namespaces {', '.join(namespaces)}{lost}"
+
+
+def _namespaces(installer: Installer, kept: Sequence[Object], added: Mapping[str, str]) -> list[str]:
+    """Those of the release that Helm leaves, and those that were made before it."""
+    return list(dict.fromkeys([*_named(kept, NAMESPACES), *_with(installer, added)]))
 
 
 def _release(installer: Installer) -> Iterator[str]:
@@ -86,8 +101,8 @@ def _outside(objects: Sequence[Object], namespaces: Sequence[str]) -> list[tuple
     return [one for one in found if one[0] != NAMESPACES and one[2] not in namespaces]
 
 
-def _wait_gone(installer: Installer, goes: Sequence[tuple[str, str, str]]) -> None:
-    for kind, name, namespace in goes:
+def _wait_gone(installer: Installer, going: Sequence[tuple[str, str, str]]) -> None:
+    for kind, name, namespace in going:
         where = ("-n", namespace) if namespace else ()
         wait = ("wait", "--for=delete", f"{kind.lower()}/{name}", f"--timeout={GONE_SECONDS_MAX}s")
         installer.kubectl(*where, *wait, seconds=GONE_SECONDS_MAX + 10)

@@ -7,6 +7,7 @@ import json
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -170,11 +171,33 @@ def test_an_installation_with_an_argo_cd_of_its_own_goes_whole(server: Server, g
     argocd = server.get("/apis/apps/v1/namespaces/argocd/deployments/argocd-server")
     [container] = argocd["spec"]["template"]["spec"]["containers"]
     assert container["image"] == f"registry.example/r/argocd@sha256:{'0' * 64}"
+    asked = asked_before_down(given)
+    [said] = [line.strip() for line in asked.splitlines() if "what was installed goes" in line]
+    namespaces, _, claims = said.partition(", and what is in volume claims ")
+    for name in ("robotkube", "robotkube-gate", "argocd", "cloud-0", "vehicle-00", "robotkube-suite-0"):
+        assert name in namespaces.replace(",", "").split()
+    assert {"robotkube/forge", "vehicle-00/bags"} <= set(claims.split(", "))
     with kubelets(server):
         removed = given.down()
     assert "Helm release robotkube/robotkube" in removed
     assert server.everything() == before
     assert given.down() == ()
+
+
+def asked_before_down(cluster: Existing) -> str:
+    """What a person is asked, who does not agree."""
+    asked: list[str] = []
+
+    def no(question: str) -> bool:
+        asked.append(question)
+        return False
+
+    other = Existing(replace(cluster._given, agreed=False), no, programs())
+    with pytest.raises(InputError, match="nothing was written, since nobody agreed"):
+        other.down()
+    other._nodes._api.close()
+    [question] = asked
+    return question
 
 
 def test_an_argo_cd_of_others_is_used_and_gets_back_what_it_had(
