@@ -68,8 +68,12 @@ def test_a_pod_that_is_replaced_before_it_was_ready_is_forgotten() -> None:
 
 def test_a_job_is_done() -> None:
     stage = Stage()
-    stage.lines.saw("ADDED", pod("bootstrap-x", phase="Pending"))
-    stage.now += 12
+    for seconds, seen in ((0, pod("bootstrap-x", phase="Pending")), (8, pod("bootstrap-x", ready=True))):
+        seen["metadata"]["ownerReferences"] = [{"kind": "Job"}]
+        stage.now += seconds
+        stage.lines.saw("MODIFIED", seen)
+    assert stage.lines.hanging() == ("bootstrap is not ready: pod bootstrap-x: Running",)
+    stage.now += 4
     stage.lines.saw("MODIFIED", pod("bootstrap-x", phase="Succeeded"))
     assert stage.said == ["bootstrap: done after 12.0 s"]
 
