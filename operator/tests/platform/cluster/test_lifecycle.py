@@ -43,6 +43,7 @@ PLAN_SECONDS_MAX = 120.0
 READY_COLUMN = "- {name: Ready,"
 KEPT_TASK, KEPT_NAMESPACE = "asked-by-a-person", "cloud-0"
 SECRETS_OF_HELM = "helm.sh/release.v1"
+FORGES_CERTIFICATE = "robotkube/forge-tls"
 
 
 @dataclass
@@ -258,6 +259,8 @@ def test_installed_again_it_goes_on_with_what_was_there(aged: Aged) -> None:
     wanted = {name.replace("/", "-") for name in aged.seen["releases"]}
     there = aged.platform.access.applications
     eventually("all releases are back", lambda: set(there()) == wanted and aged.platform.settled(), PLAN_SECONDS_MAX)
-    now = aged.holds()
+    now, seen = aged.holds(), dict(aged.seen)
+    for held in (now, seen):  # the forge's Service is another one, and its addresses are in the certificate
+        held["secrets"] = {name: data for name, data in held["secrets"].items() if name != FORGES_CERTIFICATE}
     for what in now:
-        assert now[what] == aged.seen[what], what
+        assert now[what] == seen[what], what
