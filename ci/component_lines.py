@@ -140,12 +140,8 @@ def following(
         yield lines
     finally:
         ended.set()
-        watching.terminate()
-        try:
-            watching.wait(END_SECONDS_MAX)
-        except subprocess.TimeoutExpired:
-            watching.kill()
-            watching.wait()
+        watching.kill()  # it only reads
+        watching.wait()
         for thread in threads:
             thread.join(END_SECONDS_MAX)
         stream.close()

@@ -247,7 +247,8 @@ class Bootstrap:
         self._step("Argo CD answers", argocd.answers)
         if setup.trusted:
             self._step(TRUSTED_SERVERS, lambda: argocd.patch_config_map(TRUSTED_SERVERS, setup.trusted))
-            self._restart_for_trusted(setup, argocd)
+            # A kubelet brings them to a pod that runs within two minutes only.
+            self._restart(setup.trust_readers, setup, argocd, hooks=False)
         login = {f"accounts.{setup.account}": "login"}
         self._step("argocd-cm", lambda: argocd.patch_config_map("argocd-cm", login))
         rights = {"policy.robotkube.csv": setup.rbac}
@@ -259,18 +260,13 @@ class Bootstrap:
         if setup.trusted:
             for reader in setup.trust_readers:
                 self._step(f"deployment {reader} rolled out", lambda r=reader: argocd.rolled_out(r))  # type: ignore[misc]
-        for reader in setup.hook_readers:
-            self._step(
-                f"deployment {reader}",
-                lambda r=reader: argocd.restart_on_change(r, hooks=True, trusted=setup.trusted),  # type: ignore[misc]
-            )
+        self._restart(setup.hook_readers, setup, argocd, hooks=True)
 
-    def _restart_for_trusted(self, setup: ArgoCDSetup, argocd: ArgoCDConfiguration) -> None:
-        """A kubelet brings the authorities to a pod that runs within two minutes only."""
-        for reader in setup.trust_readers:
+    def _restart(self, readers: Sequence[str], setup: ArgoCDSetup, argocd: ArgoCDConfiguration, hooks: bool) -> None:
+        for reader in readers:
             self._step(
                 f"deployment {reader}",
-                lambda r=reader: argocd.restart_on_change(r, hooks=False, trusted=setup.trusted),  # type: ignore[misc]
+                lambda r=reader: argocd.restart_on_change(r, hooks, setup.trusted),  # type: ignore[misc]
             )
 
 
