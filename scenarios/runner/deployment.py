@@ -19,7 +19,8 @@ import pygit2
 import yaml
 
 from robotkube.foundation.certificates.adapters.certificate_authorities import certificate_authorities, what_failed
-from robotkube.foundation.forge.adapters.git.connection import read_authorities
+from robotkube.foundation.forge.adapters.git.connection import GitConnection, fetch
+from robotkube.foundation.runtime.adapters.kept_connections import KeptConnections
 from scenarios.runner.access import Endpoint
 from scenarios.runner.inputs import NANOSECONDS, Commit, MainState, PullRequest
 from scenarios.runner.waiting import RunError
@@ -30,18 +31,6 @@ ANSWER_SECONDS_MAX = 15.0
 PULL_REQUESTS_PER_PAGE = 50
 PAGES_MAX = 20
 COMMITS_MAX = 2000
-
-
-class _Account(pygit2.RemoteCallbacks):
-    """Credentials, and the server's answer to a push: a refusal is no error of the transport."""
-
-    def __init__(self, username: str, password: str) -> None:
-        super().__init__(credentials=pygit2.UserPass(username, password))
-        self.refusal = ""
-
-    def push_update_reference(self, _reference: str, message: str | None) -> None:
-        """Called once per pushed reference; None means accepted."""
-        self.refusal = message or ""
 
 
 class Deployment:
@@ -56,18 +45,16 @@ class Deployment:
         name: str = REPOSITORY,
         approver: tuple[str, str] | None = None,
     ) -> None:
-        self._user = username
+        self._user, self._account = username, (username, password)
         self._approver = approver
         self._name = name
         self._url = forge.url
-        self._client = httpx.Client(
+        self._client = KeptConnections(
             base_url=f"{self._url}/api/v1/repos/{name}",
-            auth=(username, password),
+            auth=self._account,
             verify=certificate_authorities(),
             timeout=ANSWER_SECONDS_MAX,
         )
-        read_authorities()
-        self._callbacks = _Account(username, password)
         self._folder = tempfile.TemporaryDirectory(prefix="deployment-")
         self._repository = pygit2.init_repository(self._folder.name, bare=True)
         self._remote = self._repository.remotes.create("origin", f"{self._url}/{name}.git")
@@ -84,8 +71,8 @@ class Deployment:
     def fetch(self) -> str:
         """Brings the clone up to date; returns main's tip."""
         try:
-            self._remote.fetch([f"+refs/heads/{BRANCH}:refs/heads/{BRANCH}"], callbacks=self._callbacks)
-        except pygit2.GitError as error:
+            fetch(self._remote, [f"+refs/heads/{BRANCH}:refs/heads/{BRANCH}"], self._account)
+        except (pygit2.GitError, PermissionError) as error:
             raise RunError(f"{self._url}/{self._name}.git: cannot be fetched as {self._user}: {error}") from error
         return str(self._tip().id)
 
@@ -161,12 +148,13 @@ class Deployment:
         commit = self._repository.create_commit(None, who, who, message, tree, [parent.id])
         reference = f"refs/heads/{topic}"
         self._repository.references.create(reference, commit, force=True)
+        connection = GitConnection(self._account)
         try:
-            self._remote.push([f"{reference}:refs/for/{BRANCH}/{topic}"], callbacks=self._callbacks)
-        except pygit2.GitError as error:
+            self._remote.push([f"{reference}:refs/for/{BRANCH}/{topic}"], callbacks=connection)
+        except (pygit2.GitError, PermissionError) as error:
             raise RunError(f"the forge did not accept the proposal of {self._user} for {path}: {error}") from error
-        if self._callbacks.refusal:
-            raise RunError(f"the forge refused the proposal of {self._user} for {path}: {self._callbacks.refusal}")
+        if connection.refusal:
+            raise RunError(f"the forge refused the proposal of {self._user} for {path}: {connection.refusal}")
         return str(commit)
 
     def number_of(self, commit: str) -> int | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import struct
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -13,6 +13,9 @@ import pytest
 
 from robotkube.errors import UnavailableError
 from robotkube.foundation.forge.adapters.git import GitClone
+from scenarios.runner.access import Endpoint
+from scenarios.runner.deployment import Deployment
+from scenarios.runner.waiting import RunError
 from tests.stages.waiting import WAIT_SECONDS_MAX
 
 ANSWER = b"HTTP/1.1 404 Not Found\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
@@ -66,3 +69,12 @@ def test_who_ends_every_connection_is_away(tmp_path: Path) -> None:
         with pytest.raises(UnavailableError, match=r"fetch: (.*reset by peer|unexpected EOF)"):
             clone.fetch()
     assert answered == [False] * 3
+
+
+@pytest.mark.parametrize("read", [Deployment.fetch, lambda forge: forge.pull_request(1)])
+def test_a_run_of_a_scenario_asks_again_as_well(read: Callable[[Deployment], object]) -> None:
+    with server(2) as (url, answered):
+        forge = Endpoint("localhost", int(url.rpartition(":")[2]))
+        with Deployment(forge, "reviewer", "word") as person, pytest.raises(RunError, match="404"):
+            read(person)
+    assert answered == [False, False, True]
