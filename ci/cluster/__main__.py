@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> None:
     elif options.command == "down":
         down(chosen)
     elif options.command == "status":
-        print(choosing.nodes_provider(chosen).status())
+        print(choosing.provider(chosen).status())
     elif chosen.kind == Existing.kind:
         take(Existing(chosen.given), options.dry_run)
     elif options.dry_run:
@@ -83,7 +83,7 @@ def dry_run(options: argparse.Namespace) -> None:
 
 def down(chosen: choosing.Choice) -> None:
     """Remove the cluster, and print what that was."""
-    provider = choosing.nodes_provider(chosen)
+    provider = choosing.provider(chosen)
     removed = provider.down()
     if not removed:
         print(f"cluster {provider.name}: nothing to remove")

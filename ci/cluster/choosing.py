@@ -13,13 +13,13 @@ from ci.cluster.addresses import PLANS
 from ci.cluster.embedded import Embedded
 from ci.cluster.existing.nodes import GivenCluster
 from ci.cluster.existing.provider import Existing
-from ci.cluster.provider import NodesProvider, Provider
+from ci.cluster.provider import Provider
 from ci.errors import InputError
 
 NAME = "demo"
 OFFERED = {
     Embedded.kind: "made of this machine's processes; runs everything",
-    Existing.kind: "a cluster that somebody else made; its Nodes become agents', until make down",
+    Existing.kind: "a cluster that somebody else made; its Nodes become agents', and scenarios run, until make down",
 }
 """Kinds of clusters, and what each is."""
 
@@ -59,19 +59,8 @@ def choice(given: argparse.Namespace) -> Choice:
 
 
 def provider(chosen: Choice, binaries: Path = Path()) -> Provider:
-    """The cluster, for an installation and for scenarios; InputError where no whole run was proven yet. `binaries`:
-    the tool chain's folder, for one that is made."""
-    if chosen.kind == Existing.kind:
-        raise InputError(
-            f"CLUSTER={chosen.kind} goes as far as `make nodes`: a cluster has shown the installation, the ways to "
-            "Services and files, and the removal, but no whole run yet; the platform is installed with helm"
-        )
-    return Embedded(chosen.name, binaries)
-
-
-def nodes_provider(chosen: Choice) -> NodesProvider:
-    """The cluster, for its Nodes alone."""
-    return _existing(chosen.given) if chosen.kind == Existing.kind else provider(chosen)
+    """The cluster, for an installation and for scenarios. `binaries`: the tool chain's folder, for one that is made."""
+    return _existing(chosen.given) if chosen.kind == Existing.kind else Embedded(chosen.name, binaries)
 
 
 @functools.cache

@@ -55,6 +55,7 @@ ORDER = (
     "cluster/test_lifecycle",
     "cluster/test_refusals_without_admission",
     "cluster/test_other_cluster",
+    "cluster/test_cluster_of_others",
     "cluster/test_interrupting",
     "cluster/test_scenarios",
 )

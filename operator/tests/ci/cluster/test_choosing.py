@@ -40,11 +40,6 @@ def test_kinds_that_are_not_offered_are_refused_with_those_that_are(kind: str) -
         chosen("--cluster", kind)
 
 
-def test_what_a_kind_cannot_run_is_said_before_anything_begins() -> None:
-    with pytest.raises(InputError, match=r"CLUSTER=existing goes as far as `make nodes`: .* but no whole run yet"):
-        choosing.provider(chosen("--cluster", "existing"))
-
-
 def test_the_chart_is_told_what_the_embedded_cluster_needs() -> None:
     profile = choosing.provider(Choice()).chart_profile()
     assert profile.files == ("values-embedded.yaml",)

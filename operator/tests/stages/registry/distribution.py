@@ -1,5 +1,5 @@
-"""An OCI registry as others run it: distribution, by HTTPS with a certificate of an authority of its own, that takes
-tokens and nothing else; and what gives them, to one account."""
+"""An OCI registry as others run it: distribution, by HTTPS with a certificate of an authority of its own. It takes
+tokens and nothing else, which something beside it gives to one account; or it is open to everybody."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import subprocess
 import threading
 import time
 import urllib.parse
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -24,12 +24,13 @@ from cryptography.hazmat.primitives.hashes import SHA256
 
 from robotkube.foundation.certificates.adapters.issuing import issue, new_authority
 from tests.stages import waiting
-from tests.stages.handshakes import server_context, written
+from tests.stages.handshakes import certified, server_context, written
 from tests.stages.programs import free_port
 
 USER, PASSWORD = "robot", "its-password"
 SERVICE, ISSUER = "registry", "tests"
 SECONDS = 300
+LOOPBACK = "127.0.0.1"
 COORDINATE_BYTES = 32
 END_SECONDS_MAX = 20
 
@@ -80,14 +81,15 @@ class Distribution:
 def running(program: Path, folder: Path) -> Iterator[Distribution]:
     """The registry with its data below `folder`, and what gives tokens; both are ended afterwards."""
     authority = new_authority("registry", time.time())
-    context = server_context(folder / "tls", issue(authority, ["127.0.0.1"], time.time(), 3600))
+    context = server_context(folder / "tls", issue(authority, [LOOPBACK], time.time(), 3600))
     tokens = Tokens()
-    server = ThreadingHTTPServer(("127.0.0.1", 0), type("Handler", (_Handler,), {"tokens": tokens}))
+    server = ThreadingHTTPServer((LOOPBACK, 0), type("Handler", (_Handler,), {"tokens": tokens}))
     server.socket = context.wrap_socket(server.socket, server_side=True)
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05})
     thread.start()
     try:
-        with _process(program, folder, tokens, f"https://127.0.0.1:{server.server_port}/token") as host:
+        taken = _taking_tokens(folder, tokens, f"https://{LOOPBACK}:{server.server_port}/token")
+        with _process(program, folder, LOOPBACK, {"auth": taken}) as host:
             yield Distribution(host, written(folder / "ca", authority), tokens, folder / "log")
     finally:
         server.shutdown()
@@ -96,9 +98,24 @@ def running(program: Path, folder: Path) -> Iterator[Distribution]:
 
 
 @contextmanager
-def _process(program: Path, folder: Path, tokens: Tokens, realm: str) -> Iterator[str]:
-    host = f"127.0.0.1:{free_port()}"
+def open_to_all(program: Path, folder: Path, address: str) -> Iterator[Distribution]:
+    """The registry at an address of this machine, without accounts."""
+    authority = new_authority("registry", time.time())
+    certified(folder / "tls", authority, address)
+    with _process(program, folder, address, {}) as host:
+        yield Distribution(host, written(folder / "ca", authority), Tokens(), folder / "log")
+
+
+def _taking_tokens(folder: Path, tokens: Tokens, realm: str) -> dict[str, Any]:
     (folder / "keys.json").write_text(json.dumps(tokens.public()), encoding="utf-8")
+    jwks = str(folder / "keys.json")
+    names = {"realm": realm, "service": SERVICE, "issuer": ISSUER}
+    return {"token": {**names, "jwks": jwks, "signingalgorithms": ["ES256"]}}
+
+
+@contextmanager
+def _process(program: Path, folder: Path, address: str, access: Mapping[str, Any]) -> Iterator[str]:
+    host = f"{address}:{free_port()}"
     settings = {
         "version": "0.1",
         "log": {"level": "info"},
@@ -108,15 +125,7 @@ def _process(program: Path, folder: Path, tokens: Tokens, realm: str) -> Iterato
             "secret": "of-this-test",
             "tls": {"certificate": str(folder / "tls" / "tls.crt"), "key": str(folder / "tls" / "tls.key")},
         },
-        "auth": {
-            "token": {
-                "realm": realm,
-                "service": SERVICE,
-                "issuer": ISSUER,
-                "jwks": str(folder / "keys.json"),
-                "signingalgorithms": ["ES256"],
-            }
-        },
+        **access,
     }
     (folder / "registry.yaml").write_text(yaml.safe_dump(settings), encoding="utf-8")
     with (folder / "log").open("w") as log:
@@ -136,7 +145,7 @@ def _process(program: Path, folder: Path, tokens: Tokens, realm: str) -> Iterato
 
 def _answers(host: str) -> bool:
     try:
-        return httpx.get(f"https://{host}/v2/", verify=False, trust_env=False, timeout=5).status_code == 401  # noqa: S501
+        return httpx.get(f"https://{host}/v2/", verify=False, trust_env=False, timeout=5).status_code in (200, 401)  # noqa: S501
     except httpx.TransportError:
         return False
 

@@ -1,0 +1,107 @@
+"""The paper's use case, small, on a cluster that somebody else made: taken by its kubeconfig, with every image from the
+bundle in a registry, and given back as it was."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ci import bundle, evidence, oras, preparing, publish
+from ci.cluster import topology
+from ci.folders import PROJECT
+from robotkube.cli.main import main
+from robotkube.registry.publication.adapters import submission_folders
+from scenarios import definition
+from tests.stages.platform.cluster_of_others import ClusterOfOthers, made
+from tests.stages.platform.running_platform import NAME, SCENARIO, VARIANT, spoken
+
+pytestmark = pytest.mark.thorough
+
+REPORT = PROJECT / "build" / "reports" / SCENARIO.name / "report.json"
+DEMO_SECONDS_MAX, DOWN_SECONDS_MAX = 1200, 300
+PASSING = {
+    "leases.coordination.k8s.io",
+    "events",
+    "events.events.k8s.io",
+    "endpoints",
+    "endpointslices.discovery.k8s.io",
+}
+RETAINED = "persistentvolumes "  # their class retains them, with whose they were
+
+
+@pytest.fixture(scope="module")
+def cluster(no_demo: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ClusterOfOthers]:
+    prepared = preparing.everything()
+    scenario = definition.load(SCENARIO, [], VARIANT)
+    nodes = topology.read(SCENARIO / "scenario.yaml", {"vehicles": str(len(scenario.vehicles))})
+    with made(NAME, prepared.binaries, nodes, prepared.images, tmp_path_factory.mktemp("others")) as found:
+        _push(found, tmp_path_factory.mktemp("bundle") / "robotkube.tar")
+        yield found
+
+
+def _push(cluster: ClusterOfOthers, path: Path) -> None:
+    prepared = preparing.everything()
+    charts = submission_folders.all_charts(publish.CHARTS)
+    submitted = publish.read_all(prepared.references(), evidence.kept_folder(), charts)
+    bundle.write(path, prepared.images, submitted, bundle.argocd_manifests(prepared.references()))
+    words = ["--to", cluster.place, "--ca", str(cluster.authority), "--oras", str(oras.ensure() / "oras")]
+    assert main(["bundle", "push", str(path), *words]) == 0
+    path.unlink()
+
+
+def _make(cluster: ClusterOfOthers, target: str, seconds: int, **variables: str) -> str:
+    """What `make` prints about this cluster; fails with it."""
+    reached = {"CLUSTER": "existing", "KUBECONFIG": str(cluster.provider.kubeconfig()), "YES": "1"}
+    words = [f"{name}={value}" for name, value in {**reached, **variables}.items()]
+    done = subprocess.run(
+        ["make", target, *words], cwd=PROJECT, env=os.environ, capture_output=True, text=True, timeout=seconds
+    )
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-4000:]
+    return done.stdout
+
+
+def _objects(cluster: ClusterOfOthers) -> dict[str, Any]:
+    """Every object by kind, namespace and name, without what counts its versions and what comes and goes, and of
+    PersistentVolumes only that they are there."""
+    kubectl = [str(cluster.provider.binaries / "kubectl"), "--kubeconfig", str(cluster.provider.kubeconfig())]
+
+    def asked(*words: str) -> str:
+        return subprocess.run([*kubectl, *words], capture_output=True, text=True, timeout=60, check=True).stdout
+
+    kinds = [kind for kind in asked("api-resources", "--verbs=list", "-o", "name").split() if kind not in PASSING]
+    found = {}
+    for kind in kinds:
+        for item in json.loads(asked("get", kind, "-A", "-o", "json"))["items"]:
+            metadata = item["metadata"]
+            kept = {key: metadata.get(key) for key in ("labels", "annotations", "finalizers")}
+            found[f"{kind} {metadata.get('namespace', '')}/{metadata['name']}"] = [kept, item.get("spec")]
+    return {name: "kept" if name.startswith(RETAINED) else item for name, item in found.items()}
+
+
+def test_the_use_case_runs_there_and_leaves_it_as_it_was(cluster: ClusterOfOthers, pytestconfig: pytest.Config) -> None:
+    before = _objects(cluster)
+    with spoken(pytestconfig):
+        print("\nthe use case on a cluster of others, three minutes", file=sys.stderr, flush=True)
+    said = _make(
+        cluster,
+        "demo",
+        DEMO_SECONDS_MAX,
+        REGISTRY=cluster.place,
+        REGISTRY_CA=str(cluster.authority),
+        AGENTS=str(cluster.agents),
+        VARIANT=VARIANT,
+        KEEP_DRIVING="0",
+    )
+    report = json.loads(REPORT.read_text(encoding="utf-8"))
+    assert report["passed"], said[-4000:]
+    removed = _make(cluster, "down", DOWN_SECONDS_MAX)
+    assert "Node machine-0" in removed
+    after = _objects(cluster)
+    assert {name: after.get(name) for name in before | after if before.get(name) != after.get(name)} == {}

@@ -1,0 +1,94 @@
+"""A cluster that somebody else made, for who takes one: Nodes by names and labels of its own, without network policies
+and admission, whose containerd knows no image but that of sandboxes, and pulls all others from a registry beside it."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+import yaml
+
+from ci import distribution
+from ci.cluster import admission, network_policies, pulling
+from ci.cluster.embedded import Embedded
+from ci.cluster.images import SANDBOX, Image
+from ci.cluster.topology import Topology
+from tests.stages.registry.distribution import open_to_all
+
+BUILT_AS = pulling.REGISTRY
+PATH = "fleet/robotkube"  # its last part is that of the names that images were built with
+NODES, ROLE = "/api/v1/nodes", "robotkube.io/role"
+
+
+@dataclass(frozen=True)
+class ClusterOfOthers:
+    """One that runs. `agents` is a file that says which of its Nodes are whose."""
+
+    provider: Embedded
+    registry: str
+    authority: Path
+    agents: Path
+
+    @property
+    def place(self) -> str:
+        """HOST/PATH, from where it pulls."""
+        return f"{self.registry}/{PATH}"
+
+
+@contextmanager
+def made(
+    name: str, binaries: Path, topology: Topology, built: Sequence[Image], folder: Path
+) -> Iterator[ClusterOfOthers]:
+    """The cluster, with a Node for each of the topology, called machine-0 and so on, and nothing that makes it that
+    one's; it is removed afterwards."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(network_policies.VARIABLE, network_policies.OFF)
+        provider = Embedded(name, binaries, admission.OFF)
+    machines = tuple(replace(one, name=f"machine-{number}") for number, one in enumerate(topology.nodes))
+    provider.down()
+    try:
+        provider.up(Topology(machines), [image for image in built if image.name == SANDBOX])
+        _strip(provider)
+        with open_to_all(distribution.ensure() / "registry", folder, str(provider.plan.gateway)) as registry:
+            _open_port(provider, registry.host)
+            _believe(provider, registry.host, registry.authority)
+            agents = folder / "agents.yaml"
+            entries = [
+                {"node": machine.name, "role": one.role, "agent": one.agent, "capabilities": list(one.capabilities)}
+                for machine, one in zip(machines, topology.nodes, strict=True)
+            ]
+            agents.write_text(yaml.safe_dump({"agents": entries}), encoding="utf-8")
+            yield ClusterOfOthers(provider, registry.host, registry.authority, agents)
+    finally:
+        provider.down()
+
+
+def _strip(provider: Embedded) -> None:
+    """Take from Nodes what made them agents'."""
+    api = provider.api()
+    for node in api.get(NODES)["items"]:
+        named = dict.fromkeys(label for label in node["metadata"]["labels"] if label.startswith("robotkube.io/"))
+        api.merge(f"{NODES}/{node['metadata']['name']}", {"metadata": {"labels": named}, "spec": {"taints": None}})
+
+
+def _open_port(provider: Embedded, host: str) -> None:
+    """Let Nodes reach the registry, which listens at this machine's address on their bridge."""
+    rule = f"insert rule inet {provider.plan.bridge} input tcp dport {host.rpartition(':')[2]} accept"
+    subprocess.run(["nft", *rule.split()], check=True, timeout=10)
+
+
+def _believe(provider: Embedded, host: str, authority: Path) -> None:
+    """Tell every Node's containerd who signs for the registry, and that it has the images of another name, too: what an
+    administrator writes once."""
+    text = authority.read_text(encoding="ascii")
+    for name, path in ((host, ""), (BUILT_AS, f"/v2/{PATH.rpartition('/')[0]}")):
+        place = provider.folders.hosts / pulling.host_folder(name)
+        place.mkdir(parents=True, exist_ok=True)
+        (place / "ca.crt").write_text(text, encoding="ascii")
+        lines = [f'[host."https://{host}{path}"]', 'capabilities = ["pull", "resolve"]', 'ca = "ca.crt"']
+        lines += ["override_path = true"] if path else []
+        (place / "hosts.toml").write_text("\n".join([*lines, ""]), encoding="utf-8")
