@@ -32,7 +32,7 @@ from tests.stages import http_calls
 from tests.stages.attacks import shown
 from tests.stages.delivery.main_of_links import POSE_00, Main, bridge
 from tests.stages.delivery.mqtt_connection import ANSWER_SECONDS_MAX, NOT_AUTHORISED, Connection
-from tests.stages.delivery.rights_broker import PLUGIN, SETTINGS, plugin, run_mosquitto
+from tests.stages.delivery.rights_broker import PLUGIN, SETTINGS, open_accounts, plugin, run_mosquitto
 from tests.stages.paths import CHARTS, SOURCE
 from tests.stages.programs import free_port
 from tests.stages.settings_mounted import mounted
@@ -93,6 +93,7 @@ def broker(official: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
     environment = {**os.environ, "PYTHONPATH": str(SOURCE), "ROBOTKUBE_CONFIG": str(folder / "accounts.yaml")}
     subprocess.run(command, check=True, timeout=20, env=environment)
     assert file.stat().st_mode & 0o077 == 0
+    open_accounts(file)
     assert passwords.split(":")[1].split()[0] not in file.read_text()
     port = free_port()
     text = files["mosquitto.conf"]

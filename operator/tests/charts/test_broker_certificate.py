@@ -25,7 +25,7 @@ from robotkube.foundation.certificates.core.lives import Pair
 from robotkube.registry.suites.adapters.broker_observer import PahoObserver
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.adapters.paho_channel import CLOSED, PahoChannel
-from tests.stages.delivery.rights_broker import ACCOUNTS, PLUGIN, answers, password, plugin
+from tests.stages.delivery.rights_broker import ACCOUNTS, PLUGIN, answers, open_accounts, password, plugin
 from tests.stages.paths import CHARTS
 from tests.stages.programs import free_port
 from tests.stages.waiting import WAIT_SECONDS_MAX, until
@@ -80,6 +80,7 @@ class EncryptedBroker:
         names = ["rights", "observer", "manager", *(agent.name for agent in ACCOUNTS.agents)]
         passwords.write_text("".join(f"{name}:{password(name)}\n" for name in names))
         first_file.write(ACCOUNTS, passwords, run / "dynamic-security.json")
+        open_accounts(run / "dynamic-security.json")
         (self.folder / "ca.crt").write_text(self.authority.certificate)
         self.show(3600)
         places = {"/run/mosquitto": str(run)}

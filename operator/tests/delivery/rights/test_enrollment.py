@@ -48,13 +48,14 @@ def stage(platform: KeptRights) -> Iterator[KeptRights]:
     platform.made.clear()
 
 
-def test_a_reserved_account_is_shut_from_the_beginning(stage: KeptRights) -> None:
+def test_accounts_of_agents_are_shut_until_main_lets_them_in(stage: KeptRights) -> None:
     stage.end()
     stage.broker.begin_anew()  # nobody keeps its rights yet
-    assert stage.connect(NEW).refused == NOT_AUTHORISED
-    assert stage.connect("vehicle-00").refused is None
+    assert [stage.connect(name).refused for name in (NEW, "vehicle-00")] == [NOT_AUTHORISED] * 2
+    assert stage.connect("manager").refused is None
     stage.begin()
     stage.ready()
+    assert [stage.connect(name).refused for name in (NEW, "vehicle-00")] == [NOT_AUTHORISED, None]
 
 
 def test_enrolled_it_takes_part(stage: KeptRights, caplog: pytest.LogCaptureFixture) -> None:

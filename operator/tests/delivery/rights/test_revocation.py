@@ -95,6 +95,8 @@ def test_it_stays_out_when_broker_or_process_begin_anew(stage: KeptRights, caplo
     stage.broker.stop()
     stage.broker.start()  # as the pod's init container does when the file is still there
     assert stage.connect("vehicle-00").refused == NOT_AUTHORISED
+    stage.broker.begin_anew()  # another pod, which nobody has told yet
+    assert stage.connect("vehicle-00").refused == NOT_AUTHORISED
     stage.begin()
     stage.ready()
     stage.broker.begin_anew()

@@ -306,17 +306,18 @@ def test_a_withdrawn_agent_has_nothing_of_a_broken_release_either() -> None:
     assert main_table("d" * 40, tree, RESERVED, first, {}).table["vehicle-16"] == frozenset()
 
 
-def test_a_reserved_account_begins_shut_and_an_enrolled_one_stays_open() -> None:
+def test_agents_begin_shut_and_those_that_are_open_stay_so() -> None:
     accounts = fixed_rights(RESERVED)
     hashed = dict.fromkeys(wanted_roles(accounts), Password("d", "s", 101))
 
     def shut(document: Mapping[str, Any]) -> set[str]:
         return {one["username"] for one in document["clients"] if one.get("disabled")}
 
-    first = first_file(accounts, hashed, None, RESERVED.reserved)
-    assert shut(first) == {"vehicle-16"}
-    opened = {**first, "clients": [{**one, "disabled": False} for one in first["clients"]]}
-    assert shut(first_file(accounts, hashed, opened, RESERVED.reserved)) == set()
+    agents = {agent.name for agent in RESERVED.agents}
+    first = first_file(accounts, hashed, None, agents)
+    assert shut(first) == agents
+    opened = {**first, "clients": [{**one, "disabled": one["username"] == "vehicle-16"} for one in first["clients"]]}
+    assert shut(first_file(accounts, hashed, opened, agents)) == {"vehicle-16"}
 
 
 def test_a_policy_that_cannot_be_read_lets_nobody_in_again() -> None:
@@ -346,18 +347,18 @@ def test_an_account_that_is_gone_cannot_be_made_here() -> None:
 def test_the_first_file_keeps_lists_and_makes_accounts_anew() -> None:
     passwords = {name: Password(f"digest of {name}", "salt", 101) for name in ROLES}
     main = table(bridge("vehicle-00", POSE_01))
-    before = first_file(main.table, passwords, None)
+    before = first_file(main.table, passwords, None, ())
     before["roles"].append({"rolename": "stranger", "acls": []})
     [own] = [role for role in before["roles"] if role["rolename"] == OWNER]
     own["acls"] = []
     for client in before["clients"]:
         client["disabled"] = client["username"] in ("vehicle-01", OWNER)
     anew = {name: Password("another", "salt", 101) for name in ROLES}
-    file = first_file(FIXED, anew, before)
-    assert file["roles"] == first_file(main.table, anew, None)["roles"]
+    file = first_file(FIXED, anew, before, ())
+    assert file["roles"] == first_file(main.table, anew, None, ())["roles"]
     assert {client["password"] for client in file["clients"]} == {"another"}
     assert [client["username"] for client in file["clients"] if client.get("disabled")] == ["vehicle-01"]
-    assert first_file(FIXED, anew, {"roles": "broken"}) == first_file(FIXED, anew, None)
+    assert first_file(FIXED, anew, {"roles": "broken"}, ()) == first_file(FIXED, anew, None, ())
 
 
 # -- borders ------------------------------------------------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 Started by `robotkube-broker-accounts PASSWORDS FILE`. Its settings name the accounts (docs/reference/settings.md). They
 and their passwords are made anew, rights that stand in FILE stay; without any an account begins with those that it has
-whatever main says. Ends with 0, or 2 when an input is wrong.
+whatever main says, and an agent's is shut until main is seen to let it in. Ends with 0, or 2 when an input is wrong.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ def write(accounts: Accounts, passwords_file: Path, file: Path) -> int:
     if absent:
         raise InputError(f"{passwords_file}: no password for {', '.join(absent)}; add a line for each")
     hashed = {name: adapter.hashed(passwords[name]) for name in wanted_roles(table)}
-    adapter.write_file(file, first_file(table, hashed, adapter.read_before(file), accounts.reserved))
+    agents = [agent.name for agent in accounts.agents]
+    adapter.write_file(file, first_file(table, hashed, adapter.read_before(file), agents))
     return len(hashed)
 
 

@@ -72,13 +72,11 @@ def role_document(name: str, listed: Iterable[Entry]) -> dict[str, Any]:
     return {"rolename": name, "acls": acls}
 
 
-def first_file(
-    table: Table, passwords: Mapping[str, Password], before: Any, reserved: Collection[str] = ()
-) -> dict[str, Any]:
+def first_file(table: Table, passwords: Mapping[str, Password], before: Any, agents: Collection[str]) -> dict[str, Any]:
     """The file that the broker begins with: accounts and passwords anew, and of those that are still there the lists
-    that they had `before`, if they had any, and whether they were shut; the owner's is always anew. Those that are
-    `reserved` begin shut."""
-    had, shut = _roles_of(before), _shut_in(before) | (frozenset(reserved) - _open_in(before))
+    that they had `before`, if they had any, and whether they were shut; the owner's is always anew. Of `agents` those
+    that were not there begin shut: whom main lets in, the owner opens."""
+    had, shut = _roles_of(before), _shut_in(before) | (frozenset(agents) - _open_in(before))
     roles = wanted_roles(table)
     kept = {name: had[name] for name in roles if name in had and name != OWNER}
     return {

@@ -157,10 +157,9 @@ class Keeper:
         changed."""
         begun_anew = again and all(standing.roles.get(name) == listed for name, listed in self._first.items())
         lists: Sequence[RightsChange] = ()
-        if self._written:
-            given = (*role_changes(standing, self._written), *access_changes(standing, self._written, self._shut))
-            lists = () if begun_anew else given
-        else:  # main may have moved while this process was away
+        if self._written and not begun_anew:
+            lists = (*role_changes(standing, self._written), *access_changes(standing, self._written, self._shut))
+        elif not begun_anew:  # main may have moved while this process was away
             lists = never_given(standing, wanted)
         for change in (*foreign, *lists):
             self.restored += 1
