@@ -19,6 +19,7 @@ from robotkube.foundation.documents.core.patterns import NAME
 LABEL = "robotkube.io/suite"
 SUBJECT, HELPER = "subject", "helper"
 AGENT_LABEL = "robotkube.io/agent"
+PEER = {"robotkube.io/peer": "true"}  # of all pods: by it the namespace's Service has their addresses (ros-peers)
 HELPER_PREFIX = "suite-"  # names of helpers' objects; a chart's object of such a name is refused
 DOMAIN_VARIABLE = "ROS_DOMAIN_ID"
 OBJECTS_MAX = 50
@@ -115,7 +116,7 @@ def _variables(**values: str) -> list[dict[str, str]]:
 
 def own_metadata(name: str) -> dict[str, Any]:
     """Metadata of helpers' objects."""
-    return {"name": name, "labels": {LABEL: HELPER}}
+    return {"name": name, "labels": {LABEL: HELPER, **PEER}}
 
 
 def placed(item: Mapping[str, Any], namespace: str, domain_id: int, agent: str) -> dict[str, Any]:
@@ -168,7 +169,7 @@ def _refuse_places(name: str, pod: Mapping[str, Any], agent: str) -> None:
 
 
 def _labelled(metadata: Mapping[str, Any]) -> dict[str, Any]:
-    return {**metadata, "labels": {**(metadata.get("labels") or {}), LABEL: SUBJECT}}
+    return {**metadata, "labels": {**(metadata.get("labels") or {}), LABEL: SUBJECT, **PEER}}
 
 
 def _deployment(name: str, spec: Any, domain_id: int) -> dict[str, Any]:

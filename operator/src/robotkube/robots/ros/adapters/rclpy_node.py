@@ -31,6 +31,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from robotkube.errors import InputError, RobotKubeError, UnavailableError
 from robotkube.foundation.documents.core.patterns import ROS_TYPE
+from robotkube.robots.ros.adapters import unicast_discovery
 from robotkube.robots.ros.adapters.network_links import wait_for_link
 from robotkube.robots.ros.core.common_messages import PublishOutcome
 
@@ -107,6 +108,7 @@ class RosNode:
         self._context = self._bindings.Context([], self._bindings.RCL_DEFAULT_DOMAIN_ID)
         with self._context:
             self._node = self._bindings.Node(name, "/", self._context, [], False, False)
+        self._discovery = unicast_discovery.start()
 
     def subscribe(
         self,
@@ -177,6 +179,8 @@ class RosNode:
 
     def close(self) -> None:
         """Leave the network. May hang in the middleware: a process calls it only under its shutdown deadline."""
+        if self._discovery is not None:
+            self._discovery.close()
         self._node.destroy_when_not_in_use()
         with self._context:
             self._context.shutdown()
