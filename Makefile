@@ -11,7 +11,8 @@ SOURCE ?=
 # extra parameters, for example: make demo SET="vehicles=3 encounters=1"
 SET ?=
 
-# the kind of cluster: embedded is made of this machine's processes and needs nothing else; existing is there already
+# the kind of cluster: embedded is made of this machine's processes and needs nothing else; kind is made of containers by
+# the program kind, with Docker or podman; existing is there already
 CLUSTER ?= embedded
 # how a cluster that is there is reached, from where it pulls images (HOST/PATH, and the file of an authority that is none of the usual
 # ones), which Nodes are whose, a file with further values of the platform's chart; YES=1: nobody is asked

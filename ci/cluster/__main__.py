@@ -62,13 +62,15 @@ def run(options: argparse.Namespace) -> None:
     elif chosen.kind == Existing.kind:
         take(Existing(chosen.given), options.dry_run)
     elif options.dry_run:
-        dry_run(options)
+        dry_run(options, chosen)
     else:
-        up(options)
+        up(options, chosen)
 
 
-def dry_run(options: argparse.Namespace) -> None:
+def dry_run(options: argparse.Namespace, chosen: choosing.Choice) -> None:
     """List what could not be made again under enforced admission; InputError when there is something."""
+    if chosen.kind != Embedded.kind:
+        raise InputError(f"--dry-run: says nothing of a cluster of kind {chosen.kind}, which is made anew or used")
     from ci.cluster.stranded import stranded_now
 
     wanted = topology.read(options.topology, topology.overrides(options.set))
@@ -104,19 +106,22 @@ def take(given: Existing, dry_run: bool) -> None:
     print(f"values for the platform's chart: {given.values_file}")
 
 
-def up(options: argparse.Namespace) -> None:
+def up(options: argparse.Namespace, chosen: choosing.Choice) -> None:
     """Check everything that can be wrong first, then start."""
     wanted = topology.read(options.topology, topology.overrides(options.set))
-    preflight.require()
-    packages.ensure("cluster")
+    if chosen.kind == Embedded.kind:
+        preflight.require()
+        packages.ensure("cluster")
     lock = images.read_lock(options.images or images.lock_file())
     binaries = options.binaries
     if binaries is None:
         from ci.toolchain import ensure
 
         binaries = ensure().binaries
-    Embedded(options.name, binaries, options.admission).up(wanted, lock)
-    print(f"export KUBECONFIG={ClusterFolders(options.name).kubeconfig}")
+    made = chosen.kind == Embedded.kind
+    cluster = Embedded(chosen.name, binaries, options.admission) if made else choosing.provider(chosen, binaries)
+    cluster.up(wanted, lock)
+    print(f"export KUBECONFIG={cluster.kubeconfig()}")
 
 
 def main() -> int:

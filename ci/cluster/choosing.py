@@ -13,12 +13,14 @@ from ci.cluster.addresses import PLANS
 from ci.cluster.embedded import Embedded
 from ci.cluster.existing.nodes import GivenCluster
 from ci.cluster.existing.provider import Existing
+from ci.cluster.kind.provider import KindCluster
 from ci.cluster.provider import Provider
 from ci.errors import InputError
 
 NAME = "demo"
 OFFERED = {
     Embedded.kind: "made of this machine's processes; runs everything",
+    KindCluster.kind: "made of containers by kind, with Docker or podman; runs what asks nothing of machines",
     Existing.kind: "a cluster that somebody else made; its Nodes become agents', and scenarios run, until make down",
 }
 """Kinds of clusters, and what each is."""
@@ -60,7 +62,15 @@ def choice(given: argparse.Namespace) -> Choice:
 
 def provider(chosen: Choice, binaries: Path = Path()) -> Provider:
     """The cluster, for an installation and for scenarios. `binaries`: the tool chain's folder, for one that is made."""
+    if chosen.kind == KindCluster.kind:
+        return _kind(binaries)
     return _existing(chosen.given) if chosen.kind == Existing.kind else Embedded(chosen.name, binaries)
+
+
+@functools.cache
+def _kind(binaries: Path) -> KindCluster:
+    """One in each process, as below."""
+    return KindCluster(binaries)
 
 
 @functools.cache

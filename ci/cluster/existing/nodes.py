@@ -56,8 +56,11 @@ class GivenNodes:
 
     def states(self) -> tuple[NodeState, ...]:
         """Those that are agents', by name."""
-        states = (status.node_state(one) for one in self._listed())
-        return tuple(sorted((one for one in states if one.agent), key=lambda one: one.name))
+        return tuple(one for one in self.all_states() if one.agent)
+
+    def all_states(self) -> tuple[NodeState, ...]:
+        """All Nodes, by name."""
+        return tuple(sorted(map(status.node_state, self._listed()), key=lambda one: one.name))
 
     def planned(self, plan: Plan) -> tuple[Change, ...]:
         """What the plan says of the Nodes as they are."""

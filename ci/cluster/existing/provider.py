@@ -6,8 +6,8 @@ from __future__ import annotations
 import functools
 import re
 import subprocess
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -16,20 +16,17 @@ import yaml
 from ci import toolchain
 from ci.cluster import images, status
 from ci.cluster.existing import labels, mapping, registry, removing
-from ci.cluster.existing.forwards import HOST, Forwards
 from ci.cluster.existing.nodes import Ask, GivenCluster, GivenNodes
-from ci.cluster.existing.pod_volumes import PodVolumes
 from ci.cluster.images import Image
-from ci.cluster.provider import ChartProfile, NodeState, ServicePort, WayOfAPerson
+from ci.cluster.provider import ChartProfile, NodeState, ServicePort, Volumes, WayOfAPerson
+from ci.cluster.through_api_server import ApiServerWays, values_of_built_images
 from ci.cluster.topology import Topology, chart_agents
 from ci.errors import InputError, SetUpError
-from ci.folders import PROJECT, user_cache
-from ci.installation import ARGOCD, GATE, NAMESPACE, Installer, moved
+from ci.folders import user_cache
+from ci.installation import ARGOCD, GATE, NAMESPACE, Installer
 from robotkube.delivery.preflight.core.values import merged
 
 ADDED = {"robotkube.io/added": "demo"}  # annotation of namespaces that are made before the chart
-OF_BUILT_IMAGES = PROJECT / "charts" / "robotkube" / "values-embedded.yaml"
-IMAGE_OF_VOLUMES = "ros"  # those of agents' applications stand on it, so their Nodes have its layers
 COMMAND_SECONDS_MAX = 60
 
 
@@ -137,28 +134,20 @@ class Existing:
 
     def reach(self, service: ServicePort) -> tuple[str, int]:
         """See Provider.reach."""
-        return self._forwards.address(service)
-
-    @functools.cached_property
-    def _forwards(self) -> Forwards:
-        return Forwards(self._kubectl)
+        return self._ways.reach(service)
 
     def way_of_a_person(self, service: ServicePort) -> WayOfAPerson:
         """See Provider.way_of_a_person."""
-        where = f"kubectl --kubeconfig {self.kubeconfig()} -n {service.namespace}"
-        command = f"{where} port-forward service/{service.name} {service.port}:{service.port}"
-        return WayOfAPerson(HOST, service.port, command)
+        return self._ways.of_a_person(service)
 
-    @contextmanager
-    def volumes(self) -> Iterator[PodVolumes]:
+    def volumes(self) -> AbstractContextManager[Volumes]:
         """See Provider.volumes."""
-        [image] = [one for one in images.read_lock(images.lock_file()) if one.name == IMAGE_OF_VOLUMES]
+        return self._ways.volumes()
+
+    @functools.cached_property
+    def _ways(self) -> ApiServerWays:
         secrets = self._values(self._entries()).get("imagePullSecrets", [])
-        used = PodVolumes(self._kubectl, moved(image.reference, self._place()), self.work(), secrets)
-        try:
-            yield used
-        finally:
-            used.end()
+        return ApiServerWays(self._binaries, self.kubeconfig(), self.work(), self._place(), secrets)
 
     def machines(self) -> None:
         """See Provider.machines: they are others'."""
@@ -166,10 +155,6 @@ class Existing:
     @property
     def _binaries(self) -> Path:
         return self._named_binaries if self._named_binaries != Path() else toolchain.ensure().binaries
-
-    @property
-    def _kubectl(self) -> list[str]:
-        return [str(self._binaries / "kubectl"), "--kubeconfig", str(self.kubeconfig())]
 
     def _installer(self) -> Installer:
         return Installer(self._binaries, self.kubeconfig(), self.work(), ChartProfile(added=ADDED))
@@ -183,15 +168,7 @@ class Existing:
     def _values(self, entries: Sequence[mapping.AgentEntry]) -> dict[str, Any]:
         """What the chart is told of agents, registry and images that were built here, and upon it what the file of
         values says."""
-        built = yaml.safe_load(OF_BUILT_IMAGES.read_text(encoding="utf-8"))
-        own = {
-            **self._of_agents(entries),
-            "platform": {"nodeSelector": {"robotkube.io/role": "platform"}},
-            "gate": {"localBuilds": True},
-            "database": {key: built["database"][key] for key in ("kind", "arguments")},
-            "forge": {"staticRootPath": built["forge"]["staticRootPath"]},
-        }
-        return self._with_given(own)
+        return self._with_given({**self._of_agents(entries), **values_of_built_images()})
 
     def _of_agents(self, entries: Sequence[mapping.AgentEntry]) -> dict[str, Any]:
         """What the chart is told of agents and registry, whoever installs it."""

@@ -34,7 +34,7 @@ def test_how_a_cluster_that_is_there_is_reached() -> None:
     assert chosen("--cluster", "existing", *words) == Choice("demo", "existing", given)
 
 
-@pytest.mark.parametrize("kind", ["kind", "k3s", ""])
+@pytest.mark.parametrize("kind", ["minikube", "k3s", ""])
 def test_kinds_that_are_not_offered_are_refused_with_those_that_are(kind: str) -> None:
     with pytest.raises(InputError, match=f"CLUSTER={kind}: there is no such kind .* embedded: .*; existing: "):
         chosen("--cluster", kind)

@@ -1,0 +1,214 @@
+"""The provider `kind`: a cluster of containers on this machine, by the kind program alone."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import shutil
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+from ci import kind_cli, toolchain
+from ci.cluster import cgroups, status
+from ci.cluster.existing.nodes import GivenCluster, GivenNodes
+from ci.cluster.images import Image
+from ci.cluster.kind.command import Kind
+from ci.cluster.kind.configuration import CLUSTER, configuration, key
+from ci.cluster.provider import ChartProfile, NodeState, ServicePort, WayOfAPerson
+from ci.cluster.provider import Volumes as VolumesOfClaims
+from ci.cluster.through_api_server import ApiServerWays, values_of_built_images
+from ci.cluster.topology import Topology
+from ci.errors import InputError, SetUpError
+from ci.folders import user_cache
+from ci.images.built import REPOSITORY
+from ci.steps import Steps
+from robotkube import VERSION
+from robotkube.errors import RobotKubeError
+from robotkube.registry.bundles.adapters.layouts import read_bundle
+from robotkube.registry.bundles.adapters.loading import FIRST, load_kind
+from robotkube.registry.bundles.adapters.making import BundleMaker
+from robotkube.registry.images.adapters import bills
+
+NODE_IMAGE = "KIND_NODE_IMAGE"
+STEPS = 3
+API_SERVER_PORT, KUBELET_PORT = 6443, 10250
+
+
+class KindCluster:
+    """One cluster, whose state is on disk and in the engine; `binaries`: the tool chain's folder, which is looked for
+    when nobody names it."""
+
+    kind = "kind"
+    name = CLUSTER
+    lacks = (
+        "what publishers push to the forge is not pulled by Nodes: images are loaded into them",
+        "bags and ledgers are copied by pods in the agents' namespaces, which the inspector names while they are there",
+        "Nodes of the role platform get no taint: pods of others may run beside the platform's",
+        "weights and outages of Nodes, conditions of the network, CPU time and admission from files are not there: "
+        "Nodes are containers of an engine that only kind knows",
+    )
+
+    def __init__(self, binaries: Path = Path()) -> None:
+        self._named_binaries = binaries
+
+    def up(self, topology: Topology, wanted: Sequence[Image]) -> None:
+        """See Provider.up."""
+        steps = Steps(STEPS)
+        with steps.step("kind"):
+            command = Kind(kind_cli.ensure())
+        configured = configuration(topology, cgroups_of_version_1=not cgroups.unified())
+        record = self._record()
+        with steps.step(f"cluster {CLUSTER}: {len(topology.nodes) + 1} containers") as step:
+            if record.get("key") == key(configured, self._node_image) and command.runs() and self._ready():
+                step.note = "running, of the same nodes"
+            else:
+                record = self._create(command, configured)
+        with steps.step("images") as step:
+            new = [image for image in wanted if image.reference not in record["images"]]
+            if new:
+                self._load([image for image in wanted if image in new or image.name == FIRST], command)
+                self._write_record({**record, "images": sorted(image.reference for image in wanted)})
+            step.note = f"{len(new)} loaded" if new else "there"
+
+    def _create(self, command: Kind, configured: str) -> dict[str, Any]:
+        if command.runs():
+            if not self._record_file.exists():
+                raise InputError(
+                    f"kind cluster {CLUSTER} is there and was not made here; take it away first: "
+                    f"kind delete cluster --name {CLUSTER}"
+                )
+            command.delete(self.kubeconfig())
+        self.work().mkdir(parents=True, exist_ok=True)
+        self._write_record({"images": []})  # what is there from now on was made here
+        file = self.work() / "kind.yaml"
+        file.write_text(configured, encoding="utf-8")
+        command.create(file, self.kubeconfig(), self._node_image)
+        record: dict[str, Any] = {"key": key(configured, self._node_image), "images": []}
+        self._write_record(record)
+        return record
+
+    def _load(self, wanted: Sequence[Image], command: Kind) -> None:
+        """Load images into every Node: kind takes an archive that has each of them whole, under its name."""
+        archive = self.work() / "images" / "bundle.tar"
+        archive.parent.mkdir(exist_ok=True)
+        maker = BundleMaker(VERSION, REPOSITORY)
+        try:
+            for image in wanted:
+                maker.add_image(image.name, image.archive, image.archive.with_name(bills.FILE), image.ground)
+            maker.write(archive)
+            load_kind(read_bundle(archive), CLUSTER, str(command.program))
+        except RobotKubeError as error:
+            raise SetUpError(str(error)) from error
+        finally:
+            shutil.rmtree(archive.parent)
+
+    def down(self) -> tuple[str, ...]:
+        """See NodesProvider.down."""
+        if not self._record_file.exists():
+            return ()
+        command = Kind(kind_cli.ensure())
+        removed = []
+        if command.runs():
+            command.delete(self.kubeconfig())
+            removed.append(f"kind cluster {CLUSTER} with its containers and volumes")
+        shutil.rmtree(self.work())
+        return (*removed, f"files of {self.work()}")
+
+    def kept(self) -> tuple[str, ...]:
+        """See NodesProvider.kept."""
+        return ("the image of kind's nodes, which the engine keeps",)
+
+    def nodes(self) -> tuple[NodeState, ...]:
+        """See NodesProvider.nodes: those that are agents', by name."""
+        return self._given_nodes.states()
+
+    def status(self) -> str:
+        """See NodesProvider.status."""
+        return status.nodes_table(self.nodes())
+
+    def work(self) -> Path:
+        """See Provider.work."""
+        return user_cache() / "kind-cluster"
+
+    def kubeconfig(self) -> Path:
+        """See Provider.kubeconfig."""
+        return self.work() / "kubeconfig"
+
+    def chart_profile(self) -> ChartProfile:
+        """See Provider.chart_profile. kubeadm has kubelets sign their certificates themselves, so the inspector cannot
+        verify them."""
+        values = {
+            **values_of_built_images(),
+            "console": {"enabled": True, "anybodyReads": True},  # reached by a forward, as the API server lets one
+            "inspection": {"verifyKubelets": False},
+            "networkPolicies": self._addresses(),
+        }
+        return ChartProfile((), values)
+
+    def _addresses(self) -> Mapping[str, Any]:
+        """Where the API server and kubelets answer, for a network that enforces policies."""
+        every = [{"ipBlock": {"cidr": f"{node.address}/32"}} for node in self._given_nodes.all_states()]
+        control = [
+            {"ipBlock": {"cidr": f"{node.address}/32"}}
+            for node in self._given_nodes.all_states()
+            if node.name == f"{CLUSTER}-control-plane"
+        ]
+        return {
+            "apiServer": {"to": control, "ports": [API_SERVER_PORT]},
+            "kubelets": {"to": every, "ports": [KUBELET_PORT]},
+        }
+
+    def reach(self, service: ServicePort) -> tuple[str, int]:
+        """See Provider.reach."""
+        return self._ways.reach(service)
+
+    def way_of_a_person(self, service: ServicePort) -> WayOfAPerson:
+        """See Provider.way_of_a_person."""
+        return self._ways.of_a_person(service)
+
+    def volumes(self) -> AbstractContextManager[VolumesOfClaims]:
+        """See Provider.volumes."""
+        return self._ways.volumes()
+
+    def machines(self) -> None:
+        """See Provider.machines: they are the engine's."""
+
+    @functools.cached_property
+    def _ways(self) -> ApiServerWays:
+        binaries = self._named_binaries if self._named_binaries != Path() else toolchain.ensure().binaries
+        return ApiServerWays(binaries, self.kubeconfig(), self.work())
+
+    @property
+    def _given_nodes(self) -> GivenNodes:
+        if not self.kubeconfig().exists():
+            raise SetUpError(f"kind cluster {CLUSTER} is not running: start it with make cluster CLUSTER=kind")
+        return GivenNodes(GivenCluster(str(self.kubeconfig())))
+
+    @property
+    def _node_image(self) -> str:
+        """Of Nodes; empty: the one that belongs to kind's version."""
+        return os.environ.get(NODE_IMAGE, "")
+
+    def _ready(self) -> bool:
+        try:
+            states = self._given_nodes.states()
+        except SetUpError:  # its engine was started again
+            return False
+        return bool(states) and all(node.ready for node in states)
+
+    @property
+    def _record_file(self) -> Path:
+        return self.work() / "record.json"
+
+    def _record(self) -> dict[str, Any]:
+        """What was made and loaded; empty before that."""
+        file = self._record_file
+        return json.loads(file.read_text(encoding="utf-8")) if file.exists() else {}
+
+    def _write_record(self, record: Mapping[str, Any]) -> None:
+        part = self._record_file.with_suffix(".part")
+        part.write_text(json.dumps(record), encoding="utf-8")
+        part.replace(self._record_file)
