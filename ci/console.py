@@ -28,6 +28,7 @@ from pathlib import Path
 from ci.environments import environment
 from ci.errors import InputError, SetUpError
 from ci.folders import PROJECT, user_cache
+from ci.packages import ensure as ensure_installed
 
 SOURCES = PROJECT / "operator" / "console"
 API = PROJECT / "docs" / "reference" / "console-api.yaml"
@@ -86,8 +87,9 @@ def findings() -> list[str]:
 
 
 def browse(script: str, *arguments: str) -> str:
-    """Run a script of operator/console/browser, which drives Debian's Chromium; what it says. InputError with that
-    when it fails."""
+    """Run a script of operator/console/browser, which drives Debian's Chromium (installed when it is not there);
+    what it says. InputError with that when it fails."""
+    ensure_installed("browser")
     program, _ = node()
     with _workshop() as workshop:
         return _run(workshop, f"browser/{script}.mjs", [program, f"browser/{script}.mjs", *arguments])

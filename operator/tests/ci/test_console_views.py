@@ -3,7 +3,6 @@ light and dark, by keyboard."""
 
 from __future__ import annotations
 
-import shutil
 import threading
 import time
 from http.server import ThreadingHTTPServer
@@ -28,7 +27,6 @@ from tests.stages.console.synthetic import Fleet
 pytestmark = [
     pytest.mark.toolchain,
     pytest.mark.thorough,
-    pytest.mark.skipif(shutil.which("chromium") is None, reason="needs Debian's chromium: apt-get install chromium"),
 ]
 PICTURES = PROJECT / "build" / "console" / "views"
 

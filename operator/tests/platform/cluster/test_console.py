@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
-
-import pytest
-
 from ci import console
 from ci.folders import PROJECT
 from tests.stages.platform.running_platform import Platform
 
-CHROMIUM = "chromium"
 PICTURES = PROJECT / "build" / "console" / "platform"
 
 
-@pytest.mark.skipif(shutil.which(CHROMIUM) is None, reason="needs Debian's chromium: apt-get install chromium")
 def test_a_way_through_fleet_why_and_tasks(platform: Platform) -> None:
     vehicle = next(agent for agent in platform.agents if agent.startswith("vehicle-"))
     asked = ("pose-point-cloud-recording", f"vehicles={vehicle}")
