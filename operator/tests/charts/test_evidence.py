@@ -192,6 +192,8 @@ def test_a_test_namespace_takes_restricted_pods_and_holds_no_secret(platform: An
         labels = platform.one("Namespace", namespace)["metadata"]["labels"]
         assert labels["pod-security.kubernetes.io/enforce"] == "restricted"
         there = [o for o in platform.objects if o["metadata"].get("namespace") == namespace]
+        peers = [o["metadata"]["name"] for o in there if o["kind"] == "Service"]
+        assert peers in ([], ["ros-peers"])
         assert sorted({o["kind"] for o in there}) == [
             "LimitRange",
             "NetworkPolicy",
@@ -199,6 +201,7 @@ def test_a_test_namespace_takes_restricted_pods_and_holds_no_secret(platform: An
             "ResourceQuota",
             "Role",
             "RoleBinding",
+            *(["Service"] if peers else []),
             "ServiceAccount",
         ]
         accounts = [o for o in there if o["kind"] == "ServiceAccount"]

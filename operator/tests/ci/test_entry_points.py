@@ -98,8 +98,8 @@ def test_a_wrong_parameter_ends_the_demo_before_its_beginning(
 @pytest.mark.parametrize(
     ("kind", "first"),
     [
-        ("kind", "CLUSTER=kind: there is no such kind of cluster; there is embedded: "),
-        ("existing", "CLUSTER=existing goes as far as `make nodes`:"),
+        ("k3s", "CLUSTER=k3s: there is no such kind of cluster; there is embedded: "),
+        ("existing", "kubectl's kubeconfig: Invalid kube-config"),
     ],
 )
 def test_a_cluster_that_cannot_run_it_ends_the_demo_before_its_beginning(

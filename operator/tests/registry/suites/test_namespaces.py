@@ -65,10 +65,14 @@ def test_a_charts_objects_are_changed_by_namespace_domain_and_label_only() -> No
     assert found["metadata"] == {
         "name": "greeter",
         "namespace": "robotkube-suite-0",
-        "labels": {"robotkube.io/suite": "subject"},
+        "labels": {"robotkube.io/suite": "subject", "robotkube.io/peer": "true"},
     }
     template = found["spec"]["template"]
-    assert template["metadata"]["labels"] == {"app": "greeter", "robotkube.io/suite": "subject"}
+    assert template["metadata"]["labels"] == {
+        "app": "greeter",
+        "robotkube.io/suite": "subject",
+        "robotkube.io/peer": "true",
+    }
     domain = [{"name": "ROS_DOMAIN_ID", "value": "91"}]
     assert template["spec"]["initContainers"] == [{"name": "first", "env": domain}]
     assert template["spec"]["containers"] == [{"name": "main", "image": "i@sha256:0", "env": domain}]
@@ -278,7 +282,7 @@ def test_the_helper_pod_is_restricted_and_has_no_token() -> None:
     assert "command" not in container
     assert {"name": "ROS_DOMAIN_ID", "value": "91"} in container["env"]
     assert container["resources"]["limits"]["memory"]
-    assert pod["metadata"]["labels"] == {"robotkube.io/suite": HELPER}
+    assert pod["metadata"]["labels"] == {"robotkube.io/suite": HELPER, "robotkube.io/peer": "true"}
 
 
 def test_a_helper_pod_that_does_not_end() -> None:
@@ -336,7 +340,7 @@ def test_a_broker_proves_who_it_is_where_the_platforms_does() -> None:
     assert "listener 8883\ncertfile /etc/mosquitto/tls.crt\nkeyfile /etc/mosquitto/tls.key\n" in files["mosquitto.conf"]
     assert "1883" not in files["mosquitto.conf"].replace("8883", "")
     trusted = api.objects["ConfigMap", "robotkube-ca"]
-    assert trusted["metadata"]["labels"] == {"robotkube.io/suite": HELPER}
+    assert trusted["metadata"]["labels"] == {"robotkube.io/suite": HELPER, "robotkube.io/peer": "true"}
     shown = Pair(files["tls.crt"], files["tls.key"])
     assert describe(shown, Pair(trusted["data"]["ca.crt"], files["tls.key"])).signed
     assert "PRIVATE" not in trusted["data"]["ca.crt"]
