@@ -17,8 +17,7 @@ from ci.cluster.existing.nodes import GivenCluster, GivenNodes
 from ci.cluster.images import Image
 from ci.cluster.kind.command import Kind
 from ci.cluster.kind.configuration import CLUSTER, configuration, key
-from ci.cluster.provider import ChartProfile, NodeState, ServicePort, WayOfAPerson
-from ci.cluster.provider import Volumes as VolumesOfClaims
+from ci.cluster.provider import ChartProfile, NodeState, ServicePort, Volumes, WayOfAPerson
 from ci.cluster.through_api_server import ApiServerWays, values_of_built_images
 from ci.cluster.topology import Topology
 from ci.errors import InputError, SetUpError
@@ -169,7 +168,7 @@ class KindCluster:
         """See Provider.way_of_a_person."""
         return self._ways.of_a_person(service)
 
-    def volumes(self) -> AbstractContextManager[VolumesOfClaims]:
+    def volumes(self) -> AbstractContextManager[Volumes]:
         """See Provider.volumes."""
         return self._ways.volumes()
 
