@@ -7,19 +7,17 @@ import functools
 import re
 import subprocess
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from ci import toolchain
 from ci.cluster import images, status
 from ci.cluster.existing import labels, mapping, registry, removing
 from ci.cluster.existing.nodes import Ask, GivenCluster, GivenNodes
 from ci.cluster.images import Image
-from ci.cluster.provider import ChartProfile, NodeState, ServicePort, Volumes, WayOfAPerson
-from ci.cluster.through_api_server import ApiServerWays, values_of_built_images
+from ci.cluster.provider import ChartProfile, NodeState
+from ci.cluster.through_api_server.ways import ReachedThroughApiServer, values_of_built_images
 from ci.cluster.topology import Topology, chart_agents
 from ci.errors import InputError, SetUpError
 from ci.folders import user_cache
@@ -30,7 +28,7 @@ ADDED = {"robotkube.io/added": "demo"}  # annotation of namespaces that are made
 COMMAND_SECONDS_MAX = 60
 
 
-class Existing:
+class Existing(ReachedThroughApiServer):
     """One cluster that is there. `ask` shows a person what would be written, and gives the answer; `binaries`: the tool
     chain's folder, which is looked for when nobody names it."""
 
@@ -45,9 +43,9 @@ class Existing:
     )
 
     def __init__(self, given: GivenCluster, ask: Ask | None = None, binaries: Path = Path()) -> None:
+        super().__init__(binaries)
         self._given = given
         self._nodes = GivenNodes(given, ask)
-        self._named_binaries = binaries
 
     @property
     def name(self) -> str:
@@ -118,7 +116,7 @@ class Existing:
     def _kubeconfig(self) -> Path:
         given, context = self._given.kubeconfig, self._given.context
         chosen = [*(["--kubeconfig", given] if given else []), *(["--context", context] if context else [])]
-        command = [str(self._binaries / "kubectl"), "config", "view", "--minify", "--flatten", "--raw", *chosen]
+        command = [str(self.binaries / "kubectl"), "config", "view", "--minify", "--flatten", "--raw", *chosen]
         done = subprocess.run(command, capture_output=True, text=True, timeout=COMMAND_SECONDS_MAX, check=False)
         if done.returncode:
             raise SetUpError(f"kubectl config view: {done.stderr.strip()}")
@@ -132,32 +130,15 @@ class Existing:
         """See Provider.chart_profile."""
         return ChartProfile((), self._values(self._entries()), self._place(), ADDED)
 
-    def reach(self, service: ServicePort) -> tuple[str, int]:
-        """See Provider.reach."""
-        return self._ways.reach(service)
-
-    def way_of_a_person(self, service: ServicePort) -> WayOfAPerson:
-        """See Provider.way_of_a_person."""
-        return self._ways.of_a_person(service)
-
-    def volumes(self) -> AbstractContextManager[Volumes]:
-        """See Provider.volumes."""
-        return self._ways.volumes()
-
-    @functools.cached_property
-    def _ways(self) -> ApiServerWays:
-        secrets = self._values(self._entries()).get("imagePullSecrets", [])
-        return ApiServerWays(self._binaries, self.kubeconfig(), self.work(), self._place(), secrets)
-
     def machines(self) -> None:
         """See Provider.machines: they are others'."""
 
-    @property
-    def _binaries(self) -> Path:
-        return self._named_binaries if self._named_binaries != Path() else toolchain.ensure().binaries
+    def pulls_from(self) -> tuple[str, Sequence[Mapping[str, str]]]:
+        """See ReachedThroughApiServer.pulls_from."""
+        return self._place(), self._values(self._entries()).get("imagePullSecrets", [])
 
     def _installer(self) -> Installer:
-        return Installer(self._binaries, self.kubeconfig(), self.work(), ChartProfile(added=ADDED))
+        return Installer(self.binaries, self.kubeconfig(), self.work(), ChartProfile(added=ADDED))
 
     def _entries(self) -> tuple[mapping.AgentEntry, ...]:
         return mapping.read(self._given.agents)

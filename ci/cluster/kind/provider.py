@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import functools
 import json
 import os
 import shutil
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
-from ci import kind_cli, toolchain
+from ci import kind_cli
 from ci.cluster import cgroups, status
 from ci.cluster.existing.nodes import GivenCluster, GivenNodes
 from ci.cluster.images import Image
 from ci.cluster.kind.command import Kind
 from ci.cluster.kind.configuration import CLUSTER, configuration, key
-from ci.cluster.provider import ChartProfile, NodeState, ServicePort, Volumes, WayOfAPerson
-from ci.cluster.through_api_server import ApiServerWays, values_of_built_images
+from ci.cluster.provider import ChartProfile, NodeState
+from ci.cluster.through_api_server.ways import ReachedThroughApiServer, values_of_built_images
 from ci.cluster.topology import Topology
 from ci.errors import InputError, SetUpError
 from ci.folders import user_cache
@@ -36,7 +34,7 @@ STEPS = 3
 API_SERVER_PORT, KUBELET_PORT = 6443, 10250
 
 
-class KindCluster:
+class KindCluster(ReachedThroughApiServer):
     """One cluster, whose state is on disk and in the engine; `binaries`: the tool chain's folder, which is looked for
     when nobody names it."""
 
@@ -51,7 +49,7 @@ class KindCluster:
     )
 
     def __init__(self, binaries: Path = Path()) -> None:
-        self._named_binaries = binaries
+        super().__init__(binaries)
 
     def up(self, topology: Topology, wanted: Sequence[Image]) -> None:
         """See Provider.up."""
@@ -149,36 +147,16 @@ class KindCluster:
 
     def _addresses(self) -> Mapping[str, Any]:
         """Where the API server and kubelets answer, for a network that enforces policies."""
-        every = [{"ipBlock": {"cidr": f"{node.address}/32"}} for node in self._given_nodes.all_states()]
-        control = [
-            {"ipBlock": {"cidr": f"{node.address}/32"}}
-            for node in self._given_nodes.all_states()
-            if node.name == f"{CLUSTER}-control-plane"
-        ]
+        states = self._given_nodes.all_states()
+        every = [{"ipBlock": {"cidr": f"{node.address}/32"}} for node in states]
+        control = [one for one, node in zip(every, states, strict=True) if node.name == f"{CLUSTER}-control-plane"]
         return {
             "apiServer": {"to": control, "ports": [API_SERVER_PORT]},
             "kubelets": {"to": every, "ports": [KUBELET_PORT]},
         }
 
-    def reach(self, service: ServicePort) -> tuple[str, int]:
-        """See Provider.reach."""
-        return self._ways.reach(service)
-
-    def way_of_a_person(self, service: ServicePort) -> WayOfAPerson:
-        """See Provider.way_of_a_person."""
-        return self._ways.of_a_person(service)
-
-    def volumes(self) -> AbstractContextManager[Volumes]:
-        """See Provider.volumes."""
-        return self._ways.volumes()
-
     def machines(self) -> None:
         """See Provider.machines: they are the engine's."""
-
-    @functools.cached_property
-    def _ways(self) -> ApiServerWays:
-        binaries = self._named_binaries if self._named_binaries != Path() else toolchain.ensure().binaries
-        return ApiServerWays(binaries, self.kubeconfig(), self.work())
 
     @property
     def _given_nodes(self) -> GivenNodes:

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from ci.cluster.existing import forwards
-from ci.cluster.existing.forwards import Forwards
-from ci.cluster.existing.pod_volumes import FOLDER, PodVolumes
 from ci.cluster.provider import ServicePort, WayOfAPerson, directly
+from ci.cluster.through_api_server import forwards
+from ci.cluster.through_api_server.forwards import Forwards
+from ci.cluster.through_api_server.pod_volumes import FOLDER, PodVolumes
 from ci.errors import SetUpError
 from tests.stages.waiting import until
 

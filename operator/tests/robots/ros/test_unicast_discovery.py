@@ -9,7 +9,14 @@ from collections.abc import Iterator
 import pytest
 
 from robotkube.robots.ros.adapters import unicast_discovery
-from robotkube.robots.ros.adapters.unicast_discovery import BASE, GROUP, OF_DOMAIN, Announcements, UnicastDiscovery
+from robotkube.robots.ros.adapters.unicast_discovery import (
+    BASE,
+    GROUP,
+    OF_DOMAIN,
+    Announcements,
+    UnicastDiscovery,
+    peers_name,
+)
 from tests.stages.waiting import until
 
 DOMAIN = 173
@@ -48,6 +55,22 @@ def test_what_is_no_announcement_is_left(packet: bytes) -> None:
     announcements.know({"10.0.0.2"})
     announcements.heard(packet)
     assert announcements.due(0.0) == []
+
+
+@pytest.mark.parametrize(
+    ("resolver", "name"),
+    [
+        ("search vehicle-00.svc.cluster.local svc.cluster.local cluster.local example.com\nnameserver 10.96.0.10\n"
+         "options ndots:5\n", "ros-peers.vehicle-00.svc.cluster.local."),
+        ("nameserver 10.96.0.10\nsearch cloud-0.svc.robots.example\n", "ros-peers.cloud-0.svc.robots.example."),
+        ("search example.com svc.cluster.local\nnameserver 192.0.2.1\n", ""),
+        ("search \n", ""),
+        ("nameserver 192.0.2.1\n", ""),
+        ("", ""),
+    ],
+)  # fmt: skip
+def test_peers_are_asked_for_in_the_namespace_alone(resolver: str, name: str) -> None:
+    assert peers_name(resolver) == name
 
 
 def test_outside_of_a_pod_nothing_is_begun() -> None:

@@ -21,7 +21,7 @@ from tests.stages.registry.distribution import open_to_all
 
 BUILT_AS = pulling.REGISTRY
 PATH = "fleet/robotkube"  # its last part is that of the names that images were built with
-NODES, ROLE = "/api/v1/nodes", "robotkube.io/role"
+NODES = "/api/v1/nodes"
 
 
 @dataclass(frozen=True)

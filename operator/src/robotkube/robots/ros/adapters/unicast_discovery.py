@@ -5,7 +5,8 @@ sends to a group, are passed on to the pods of the same agent one by one.
 
 The middleware (RTPS 2.3, 8.5.3 and 9.6) takes an announcement at its unicast port as it takes one at the group, and
 answers by unicast from then on, so it is enough that one of two knows the other's address. Addresses are those of the
-headless Service PEERS of the pod's namespace: where there is none, nothing is sent. Only processes in pods ask for it.
+headless Service PEERS of the pod's namespace: where there is none, nothing is sent. Only processes in pods ask for it,
+by its whole name: a short one would go on to the domains of the machine, of which one may have an answer to every name.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import threading
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 
 from robotkube.backoffs import backoff
 
@@ -34,6 +36,7 @@ HEAR_SECONDS_MAX = 0.5
 AGAIN_SECONDS = 1.0  # between two announcements of one participant to a peer that has had one
 IN_A_POD = "KUBERNETES_SERVICE_HOST"
 DOMAIN = "ROS_DOMAIN_ID"
+RESOLVER = Path("/etc/resolv.conf")
 
 log = logging.getLogger(__name__)
 
@@ -44,6 +47,23 @@ def start(environment: Mapping[str, str] = os.environ) -> UnicastDiscovery | Non
         return None
     word = environment.get(DOMAIN, "")
     return UnicastDiscovery(int(word) if word.isdecimal() else 0)
+
+
+def peers_name(resolver: str) -> str:
+    """The whole name of the Service, by the file of the resolver that a kubelet writes: of its domains the first is
+    that of the namespace's Services. Empty when it is none."""
+    domains = [line.split()[1:] for line in resolver.splitlines() if line.startswith("search ")]
+    first = domains[-1][0] if domains and domains[-1] else ""
+    return f"{PEERS}.{first}." if first.split(".")[1:2] == ["svc"] else ""
+
+
+def peers() -> frozenset[str]:
+    """The addresses of all pods of this one's agent; none where there is no such Service."""
+    try:
+        name = peers_name(RESOLVER.read_text(encoding="ascii"))
+    except (OSError, ValueError):
+        return frozenset()
+    return addresses_of(name) if name else frozenset()
 
 
 def addresses_of(name: str) -> frozenset[str]:
@@ -92,7 +112,7 @@ class UnicastDiscovery:
     def __init__(
         self,
         domain: int,
-        look: Callable[[], frozenset[str]] = lambda: addresses_of(PEERS),
+        look: Callable[[], frozenset[str]] = peers,
         own: Callable[[], frozenset[str]] = lambda: addresses_of(socket.gethostname()),
     ) -> None:
         self._first = BASE + OF_DOMAIN * domain
@@ -112,16 +132,16 @@ class UnicastDiscovery:
         failures = 0
         while not self._stopping.is_set():
             own = self._own()
-            peers = self._look() - own
-            self._announcements.know(peers)
+            others = self._look() - own
+            self._announcements.know(others)
             try:
-                if peers:
+                if others:
                     self._pass_on(own)
             except OSError as error:
                 log.warning("discovery: announcements are not passed on to peers: %s", error)
-                peers = frozenset()
-            failures = 0 if peers else failures + 1
-            if not peers:
+                others = frozenset()
+            failures = 0 if others else failures + 1
+            if not others:
                 self._stopping.wait(backoff(failures, LOOK_SECONDS, LOOK_SECONDS_MAX, random.random))
 
     def _pass_on(self, own: frozenset[str]) -> None:

@@ -3,18 +3,20 @@ and what the platform's chart is told of images that were built here."""
 
 from __future__ import annotations
 
+import functools
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from ci import toolchain
 from ci.cluster import images
-from ci.cluster.existing.forwards import HOST, Forwards
-from ci.cluster.existing.pod_volumes import PodVolumes
 from ci.cluster.provider import ServicePort, WayOfAPerson
+from ci.cluster.through_api_server.forwards import HOST, Forwards
+from ci.cluster.through_api_server.pod_volumes import PodVolumes
 from ci.folders import PROJECT
 from ci.installation import moved
 
@@ -22,28 +24,38 @@ OF_BUILT_IMAGES = PROJECT / "charts" / "robotkube" / "values-embedded.yaml"
 IMAGE_OF_VOLUMES = "ros"  # those of agents' applications stand on it, so their Nodes have its layers
 
 
-@dataclass
-class ApiServerWays:
-    """The ways of one cluster, as long as this process runs. Copies of files are put below `work`; pods with volumes
-    pull from `registry`, where there is one, by `pull_secrets`."""
+class ReachedThroughApiServer(ABC):
+    """The part of a provider that is the same wherever only the API server is reached; forwards end with the process.
+    `binaries`: the tool chain's folder, which is looked for when nobody names it."""
 
-    binaries: Path
-    kubeconfig: Path
-    work: Path
-    registry: str = ""
-    pull_secrets: Sequence[Mapping[str, str]] = field(default_factory=list)
+    def __init__(self, binaries: Path) -> None:
+        self._named_binaries = binaries
 
-    def __post_init__(self) -> None:
-        self._kubectl = [str(self.binaries / "kubectl"), "--kubeconfig", str(self.kubeconfig)]
-        self._forwards = Forwards(self._kubectl)
+    @abstractmethod
+    def kubeconfig(self) -> Path:
+        """See Provider.kubeconfig."""
+
+    @abstractmethod
+    def work(self) -> Path:
+        """See Provider.work."""
+
+    @property
+    def binaries(self) -> Path:
+        """The tool chain's folder."""
+        return self._named_binaries if self._named_binaries != Path() else toolchain.ensure().binaries
+
+    def pulls_from(self) -> tuple[str, Sequence[Mapping[str, str]]]:
+        """The registry (HOST/PATH) from which pods with volumes pull, and their imagePullSecrets; empty: by the names
+        that images were built with."""
+        return "", ()
 
     def reach(self, service: ServicePort) -> tuple[str, int]:
         """See Provider.reach."""
         return self._forwards.address(service)
 
-    def of_a_person(self, service: ServicePort) -> WayOfAPerson:
+    def way_of_a_person(self, service: ServicePort) -> WayOfAPerson:
         """See Provider.way_of_a_person."""
-        where = f"kubectl --kubeconfig {self.kubeconfig} -n {service.namespace}"
+        where = f"kubectl --kubeconfig {self.kubeconfig()} -n {service.namespace}"
         command = f"{where} port-forward service/{service.name} {service.port}:{service.port}"
         return WayOfAPerson(HOST, service.port, command)
 
@@ -51,11 +63,20 @@ class ApiServerWays:
     def volumes(self) -> Iterator[PodVolumes]:
         """See Provider.volumes."""
         [image] = [one for one in images.read_lock(images.lock_file()) if one.name == IMAGE_OF_VOLUMES]
-        used = PodVolumes(self._kubectl, moved(image.reference, self.registry), self.work, self.pull_secrets)
+        registry, secrets = self.pulls_from()
+        used = PodVolumes(self._kubectl, moved(image.reference, registry), self.work(), secrets)
         try:
             yield used
         finally:
             used.end()
+
+    @functools.cached_property
+    def _forwards(self) -> Forwards:
+        return Forwards(self._kubectl)
+
+    @property
+    def _kubectl(self) -> list[str]:
+        return [str(self.binaries / "kubectl"), "--kubeconfig", str(self.kubeconfig())]
 
 
 def values_of_built_images() -> dict[str, Any]:
