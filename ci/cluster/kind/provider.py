@@ -16,18 +16,13 @@ from ci.cluster.images import Image
 from ci.cluster.kind.command import Kind
 from ci.cluster.kind.configuration import CLUSTER, configuration, key
 from ci.cluster.provider import ChartProfile, NodeState
+from ci.cluster.through_api_server.bundled_images import bundled
 from ci.cluster.through_api_server.ways import ReachedThroughApiServer, values_of_built_images
 from ci.cluster.topology import Topology
 from ci.errors import InputError, SetUpError
 from ci.folders import user_cache
-from ci.images.built import REPOSITORY
 from ci.steps import Steps
-from robotkube import VERSION
-from robotkube.errors import RobotKubeError
-from robotkube.registry.bundles.adapters.layouts import read_bundle
 from robotkube.registry.bundles.adapters.loading import FIRST, load_kind
-from robotkube.registry.bundles.adapters.making import BundleMaker
-from robotkube.registry.images.adapters import bills
 
 NODE_IMAGE = "KIND_NODE_IMAGE"
 STEPS = 3
@@ -89,18 +84,8 @@ class KindCluster(ReachedThroughApiServer):
 
     def _load(self, wanted: Sequence[Image], command: Kind) -> None:
         """Load images into every Node: kind takes an archive that has each of them whole, under its name."""
-        archive = self.work() / "images" / "bundle.tar"
-        archive.parent.mkdir(exist_ok=True)
-        maker = BundleMaker(VERSION, REPOSITORY)
-        try:
-            for image in wanted:
-                maker.add_image(image.name, image.archive, image.archive.with_name(bills.FILE), image.ground)
-            maker.write(archive)
-            load_kind(read_bundle(archive), CLUSTER, str(command.program))
-        except RobotKubeError as error:
-            raise SetUpError(str(error)) from error
-        finally:
-            shutil.rmtree(archive.parent)
+        with bundled(wanted, self.work() / "images") as bundle:
+            load_kind(bundle, CLUSTER, str(command.program))
 
     def down(self) -> tuple[str, ...]:
         """See NodesProvider.down."""

@@ -17,6 +17,7 @@ from ci.cluster.kind.provider import KindCluster
 from ci.cluster.topology import Topology
 from ci.errors import InputError, SetUpError
 from tests.stages.paths import SCENARIOS
+from tests.stages.registry.built_images import built_image
 
 pytestmark = pytest.mark.processes
 
@@ -89,6 +90,22 @@ def test_a_cluster_is_made_once_and_anew_for_other_nodes(asked: Asked, monkeypat
     monkeypatch.setattr(KindCluster, "_ready", lambda _: False)
     cluster.up(nodes(2), ())
     assert asked() == ["delete cluster", "create cluster"]
+
+
+def test_images_are_loaded_once_and_a_broken_one_is_named(asked: Asked, tmp_path: Path) -> None:
+    images = [built_image(tmp_path, name) for name in ("pause", "platform")]
+    cluster = KindCluster()
+    for _ in range(2):
+        cluster.up(nodes(1), images)
+    assert asked() == ["create cluster", "load image-archive"]
+    other = built_image(tmp_path, "gate", b"gate")
+    cluster.up(nodes(1), [*images, other])
+    assert asked() == ["load image-archive"]
+    broken = built_image(tmp_path, "ros", b"ros")
+    broken.archive.write_bytes(b"no archive")
+    with pytest.raises(SetUpError, match=r"ros.*no OCI layout archive"):
+        cluster.up(nodes(1), [*images, broken])
+    assert not (cluster.work() / "images").exists()
 
 
 def test_one_that_could_not_be_made_is_no_cluster(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:

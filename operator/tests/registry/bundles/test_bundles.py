@@ -254,6 +254,8 @@ def test_images_alone_are_what_a_runtime_imports(tmp_path: Path) -> None:
     (tmp_path / "k3s").mkdir()
     assert load_k3s(bundle, tmp_path / "k3s") == str(tmp_path / "k3s" / "robotkube-0.1.0.tar")
     assert (tmp_path / "k3s" / "robotkube-0.1.0.tar").read_bytes() == (tmp_path / "images.tar").read_bytes()
+    assert load_k3s(bundle, tmp_path / "k3s", "mine.tar") == str(tmp_path / "k3s" / "mine.tar")
+    assert sorted(one.name for one in (tmp_path / "k3s").iterdir()) == ["mine.tar", "robotkube-0.1.0.tar"]
     with pytest.raises(InputError, match="no such folder"):
         load_k3s(bundle, tmp_path / "nowhere")
 

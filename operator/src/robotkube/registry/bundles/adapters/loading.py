@@ -39,13 +39,14 @@ def load_kind(bundle: Bundle, cluster: str, program: str = "kind") -> str:
     return f"kind cluster {cluster}"
 
 
-def load_k3s(bundle: Bundle, folder: Path) -> str:
-    """Put them into the folder from which k3s imports; where that is. A file is there whole or not at all."""
+def load_k3s(bundle: Bundle, folder: Path, name: str = "") -> str:
+    """Put them into the folder from which k3s imports, as a file of this name or of the bundle's version; where that
+    is. A file is there whole or not at all."""
     if not folder.is_dir():
         raise InputError(
             f"--k3s {folder}: no such folder; on a node it is /var/lib/rancher/k3s/agent/images (make it, k3s reads it)"
         )
-    archive = folder / f"robotkube-{bundle.contents.version}.tar"
+    archive = folder / (name or f"robotkube-{bundle.contents.version}.tar")
     write_images(bundle, archive)
     return str(archive)
 
