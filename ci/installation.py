@@ -83,7 +83,7 @@ class Installer:
             return self.argocd_of_others()
         source = toolchain.module_dir("github.com/argoproj/argo-cd/v3") / "manifests" / "install.yaml"
         pulled = {name: moved(reference, self.profile.registry) for name, reference in references.items()}
-        manifests = render.render(source.read_text(encoding="utf-8"), pulled)
+        manifests = render.render(source.read_text(encoding="utf-8"), pulled, stated_networks(self.profile))
         self.namespace(ARGOCD, RESTRICTED)
         self.repo_server_clients()
         apply = ("apply", "--server-side", "--force-conflicts", "-n", ARGOCD, "-f", "-")
@@ -248,6 +248,17 @@ class Installer:
         except SetUpError as error:
             return f"(state of {namespace} cannot be read: {error})"
         return "\n".join(lines)
+
+
+def stated_networks(profile: ChartProfile) -> Mapping[str, Any]:
+    """What a profile says of the chart's network policies."""
+    stated: dict[str, Any] = {}
+    for values in (
+        *(yaml.safe_load((CHART / name).read_text(encoding="utf-8")) for name in profile.files),
+        profile.values,
+    ):
+        stated = merged(stated, {"networkPolicies": values.get("networkPolicies") or {}})
+    return dict(stated.get("networkPolicies", {}))
 
 
 def what_hangs(text: str, hanging: Sequence[str]) -> str:

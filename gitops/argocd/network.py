@@ -1,7 +1,8 @@
-"""NetworkPolicies of Argo CD's namespace in the embedded cluster: what the platform's table says about its pods.
+"""NetworkPolicies of Argo CD's namespace, where it is installed for the platform: what the platform's table says about
+its pods.
 
-The table is that of the platform chart, and how API server and name service are reached stands in the chart's embedded
-profile. What is not in the table is denied.
+The table is that of the platform chart, and how API server and name service are reached is what the chart's values
+below `networkPolicies` say of a cluster. What is not in the table is denied.
 """
 
 from __future__ import annotations
@@ -16,18 +17,21 @@ Object = dict[str, Any]
 
 CHART = Path(__file__).resolve().parents[2] / "charts" / "robotkube"
 TABLE = CHART / "files" / "network.yaml"
-PROFILE = CHART / "values-embedded.yaml"
+DEFAULTS = CHART / "values.yaml"
 WORD = "argocd"  # this namespace in the table
-PLATFORM = "robotkube"  # namespace and release of the platform in the embedded cluster
+PLATFORM = "robotkube"  # namespace and release of the platform
 OTHERS = {"platform": PLATFORM, "gate": f"{PLATFORM}-gate"}  # their namespaces by the table's words
-NAME_PORT = 53
 API_SERVER, NAME_SERVICE = "api-server", "name-service"
 
 
-def policies(namespace: str) -> list[Object]:
-    """Everything denied, and one policy for each part of Argo CD."""
+def policies(namespace: str, stated: Mapping[str, Any]) -> list[Object]:
+    """Everything denied, and one policy for each part of Argo CD. `stated`: the chart's values `networkPolicies` as far
+    as they differ from its own; none are made where these say so."""
     table = yaml.safe_load(TABLE.read_text(encoding="utf-8"))
-    values = yaml.safe_load(PROFILE.read_text(encoding="utf-8"))["networkPolicies"]
+    values = yaml.safe_load(DEFAULTS.read_text(encoding="utf-8"))["networkPolicies"]
+    if not {**values, **stated}["enabled"]:
+        return []
+    values |= {word: {**values[word], **(stated.get(word) or {})} for word in ("apiServer", "dns")}
     parties = {name: party for name, party in table["parties"].items() if party["namespaces"] == WORD}
     found = [_policy("default-deny", namespace, {})]
     for name, party in parties.items():
@@ -61,11 +65,17 @@ def _rules(table: Object, values: Object, namespace: str, name: str) -> dict[str
 
 def _egress(edge: Mapping[str, Any], values: Mapping[str, Any], peers: Mapping[str, Object]) -> Iterator[Object]:
     if edge["to"] == NAME_SERVICE:
-        yield {"to": values["dns"]["to"], "ports": [*_ports([NAME_PORT], "UDP"), *_ports([NAME_PORT])]}
+        ports = values["dns"]["ports"]
+        yield {**_whom(values["dns"]["to"]), "ports": [*_ports(ports, "UDP"), *_ports(ports)]}
     elif edge["to"] == API_SERVER:
-        yield {"to": values["apiServer"]["to"], "ports": _ports(values["apiServer"]["ports"])}
+        yield {**_whom(values["apiServer"]["to"]), "ports": _ports(values["apiServer"]["ports"])}
     else:
         yield {"to": [peers[edge["to"]]], "ports": _ports([edge["port"]])}
+
+
+def _whom(peers: Sequence[Object]) -> Object:
+    """These peers; none are every address, as in the chart."""
+    return {"to": list(peers)} if peers else {}
 
 
 def _ports(ports: Sequence[int], protocol: str = "TCP") -> list[Object]:

@@ -1,9 +1,11 @@
-"""Turns Argo CD's own `manifests/install.yaml` into the installation of the embedded cluster.
+"""Turns Argo CD's own `manifests/install.yaml` into the installation that comes with the platform.
 
 `render` decides which objects stay and how each workload runs on a small machine; it changes nothing else, so a newer
 Argo CD needs no change here unless it renames a workload or an image, and then says so.
 
     python3 -m gitops.argocd.render --manifests .../manifests/install.yaml --images images.yaml > argocd.yaml
+
+As the chart's defaults, its policies name nobody's addresses: `--values` does, with the file that Helm gets.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ import argparse
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import yaml
@@ -20,6 +23,7 @@ from gitops.argocd import network
 
 Object = dict[str, Any]
 
+NOTHING: Mapping[str, Any] = MappingProxyType({})
 NAMESPACE = "argocd"
 CLUSTER_KINDS = {"CustomResourceDefinition", "ClusterRole", "ClusterRoleBinding", "Namespace"}
 # Single sign-on and notifications are not used. NetworkPolicies: those of the platform's table instead, which name who
@@ -137,17 +141,18 @@ TOKEN: Object = {
 }
 
 
-def render(manifests: str, images: Mapping[str, str]) -> str:
+def render(manifests: str, images: Mapping[str, str], network_policies: Mapping[str, Any] = NOTHING) -> str:
     """The manifests to apply, as YAML.
 
     `manifests` is the text of Argo CD's install.yaml; `images` maps `argocd` and `redis` to references (further keys
-    are ignored). Raises ValueError when a reference is missing or a workload is not one this module knows.
+    are ignored); `network_policies` are the values of this name that the platform's chart gets. Raises ValueError when
+    a reference is missing or a workload is not one this module knows.
     """
     missing = [name for name in IMAGES.values() if not images.get(name)]
     if missing:
         raise ValueError(f"Argo CD: no image reference for {', '.join(missing)}; add them to the images file")
     documents = filter(None, yaml.load_all(manifests, Loader=_LOADER))
-    objects = [*_rendered(documents, images), *network.policies(NAMESPACE)]
+    objects = [*_rendered(documents, images), *network.policies(NAMESPACE, network_policies)]
     return yaml.dump_all(objects, Dumper=_DUMPER, sort_keys=True)
 
 
@@ -258,14 +263,17 @@ _DUMPER = _PlainDumper
 
 def main() -> int:
     parser = argparse.ArgumentParser(
-        prog="gitops.argocd.render", description="Argo CD's manifests for the embedded cluster"
+        prog="gitops.argocd.render", description="Argo CD's manifests, as the platform needs it"
     )
     parser.add_argument("--manifests", type=Path, required=True, help="Argo CD's manifests/install.yaml")
     parser.add_argument("--images", type=Path, required=True, help="YAML: {images: {argocd: <reference>, redis: ...}}")
+    parser.add_argument("--values", type=Path, help="YAML: values of the platform's chart")
     arguments = parser.parse_args()
     images = yaml.safe_load(arguments.images.read_text(encoding="utf-8"))["images"]
+    values = yaml.safe_load(arguments.values.read_text(encoding="utf-8")) if arguments.values else {}
+    stated = values.get("networkPolicies") or {}
     try:
-        sys.stdout.write(render(arguments.manifests.read_text(encoding="utf-8"), images))
+        sys.stdout.write(render(arguments.manifests.read_text(encoding="utf-8"), images, stated))
     except ValueError as error:
         print(error, file=sys.stderr)
         return 1

@@ -15,6 +15,8 @@ import pytest
 import yaml
 
 from ci import toolchain
+from ci.cluster.provider import ChartProfile
+from ci.installation import stated_networks
 from gitops.argocd.render import render
 from tests.stages.paths import REPOSITORY
 from tests.stages.programs import SELDOM_COLLECTING, program
@@ -181,4 +183,5 @@ def argocd() -> list[Object]:
     """Argo CD for the embedded cluster, from the manifests of the version the tool chain pins."""
     source = toolchain.module_dir("github.com/argoproj/argo-cd/v3") / "manifests" / "install.yaml"
     images = {"argocd": "registry.example/argocd@sha256:1", "redis": "registry.example/redis@sha256:2"}
-    return list(yaml.load_all(render(source.read_text(encoding="utf-8"), images), Loader=LOADER))
+    stated = stated_networks(ChartProfile(("values-embedded.yaml",)))
+    return list(yaml.load_all(render(source.read_text(encoding="utf-8"), images, stated), Loader=LOADER))

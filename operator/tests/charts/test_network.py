@@ -15,6 +15,7 @@ import pytest
 import yaml
 
 from ci.cluster.addresses import PLANS
+from gitops.argocd import network as argocd_network
 from robotkube.foundation.kubernetes.core.network_policies import NetworkPeer, NetworkPolicy, may_connect, read_policy
 from tests.stages.paths import CHARTS, REPOSITORY
 
@@ -216,6 +217,31 @@ def test_a_cluster_of_ones_own_allows_what_the_table_says_and_nothing_else(
 
     found = {one for one in table(policies(rendered.objects), everybody) if not elsewhere(one)}
     assert difference(found, {one for one in expected(means) if not elsewhere(one)}) == NOTHING
+
+
+def test_argo_cd_that_comes_with_the_platform_does_what_the_table_says_on_any_cluster(
+    helm: Any, argocd: list[Object], apps: Mapping[str, Any]
+) -> None:
+    rendered = helm.template(PLATFORM, PROFILES / "official.yaml", networkPolicies=STATED)
+    everybody = pods(rendered, argocd, apps, ("vehicle-00", "vehicle-01", "cloud-0"))
+    everybody |= {one.name: one for one in ELSEWHERE}
+    means = meaning(everybody, ["cloud-0"])
+    means |= {"api-server": {"api-server"}, "name-service": {"kube-system/coredns"}, "clients": {"client"}}
+    means |= {"metrics": {"monitoring/prometheus"}, "kubelets": {"kubelet"}}
+    rules = [*policies(rendered.objects), *map(read_policy, argocd_network.policies("argocd", STATED))]
+    found, wanted = table(rules, everybody), expected(means)
+
+    def of_argo_cd(reach: Reach) -> bool:
+        return any(name.startswith("argocd/") for name in reach[:2]) and not not_ours(reach)
+
+    assert difference(set(filter(of_argo_cd, found)), set(filter(of_argo_cd, wanted))) == NOTHING
+
+
+def test_argo_cd_where_nothing_is_stated_and_where_no_policies_are_wanted() -> None:
+    rules = list(map(read_policy, argocd_network.policies("argocd", {})))
+    redis = pod("argocd", "redis", {"app.kubernetes.io/name": "argocd-redis"}, 0)
+    assert {at for at in ASKED if may_connect(rules, redis, ELSEWHERE[2], *at).allowed} == {("TCP", 443), ("TCP", 6443)}
+    assert argocd_network.policies("argocd", {"enabled": False}) == []
 
 
 def test_what_a_vehicle_and_a_chart_under_test_reach(

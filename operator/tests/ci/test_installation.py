@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from ci.installation import Installer, chosen_volumes
+from ci.cluster.provider import ChartProfile
+from ci.installation import Installer, chosen_volumes, stated_networks
 from scenarios import demo
 
 
@@ -47,6 +48,15 @@ def test_what_is_bound_or_could_run_on_several_nodes_is_left_to_the_scheduler() 
     claims = [claim("recordings", "a"), claim("bags", "b", "Bound"), claim("bags", "c"), claim("more", "c")]
     assert chosen(claims, volumes) == {"c-0": "c/bags"}
     assert chosen_volumes([], volumes) == []
+
+
+def test_argo_cd_hears_of_the_network_what_the_chart_hears() -> None:
+    """Files of the profile first, then its values."""
+    own = {"networkPolicies": {"apiServer": {"to": [{"ipBlock": {"cidr": "192.0.2.10/32"}}]}}}
+    stated = stated_networks(ChartProfile(("values-embedded.yaml",), own))
+    assert stated["apiServer"] == {"to": own["networkPolicies"]["apiServer"]["to"], "ports": [6443]}
+    assert stated["dns"]["to"][0] == {"ipBlock": {"cidr": "10.89.0.1/32"}}
+    assert stated_networks(ChartProfile(values={"storage": {}})) == {}
 
 
 class Installed(Installer):
