@@ -37,6 +37,13 @@ from tests.stages.delivery.preflight_facts import (
 
 RULE = {"operations": ["CREATE"], "apiGroups": [""], "resources": ["pods"]}
 NODES = [node(name, role) for name, role in AGENTS.items()]
+VERSIONS_OF_KUBELETS = [
+    ("v1.34.9", FAILED),
+    ("v1.36.3", OK),
+    ("v1.34.1+k3s1", FAILED),
+    ("v1.36.0+k3s1", OK),
+    ("", FAILED),
+]
 DISKS = {"metadata": {"name": "disks"}, "provisioner": "example.com/disks"}
 
 
@@ -99,6 +106,11 @@ class TestValues:
 class TestVersion:
     def test_an_older_one_is_refused(self) -> None:
         assert "v1.28.9+k3s1 is older than >=1.29.0-0" in said(finding("version", version="v1.28.9+k3s1"))
+
+    @pytest.mark.parametrize("version", ["v1.34.1+k3s1", "v1.29.0", "1.30.2-eks-1552ad0"])
+    def test_what_a_distribution_adds_to_it_says_nothing_of_its_age(self, version: str) -> None:
+        found = finding("version", version=version)
+        assert (found.result, found.says) == (OK, f"{version}; the chart asks for >=1.29.0-0")
 
     def test_one_that_cannot_be_compared_is_not_ok(self) -> None:
         assert finding("version", chart={"kubeVersion": "~1.30 || ~1.32"}).result == NOT_CHECKED
@@ -332,7 +344,7 @@ class TestAgents:
         words = said(finding("control-groups", control_groups={"old": 1, "new": 2}))
         assert "Node old: control groups are of version 1" in words
 
-    @pytest.mark.parametrize(("version", "result"), [("v1.34.9", FAILED), ("v1.36.3", OK), ("", FAILED)])
+    @pytest.mark.parametrize(("version", "result"), VERSIONS_OF_KUBELETS)
     def test_a_kubelet_that_runs_on_version_1_was_told_to(self, version: str, result: str) -> None:
         """Since 1.35 it does not start there by itself, as on the embedded cluster, where it was told."""
         own = node("vehicle-00")
