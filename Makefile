@@ -12,7 +12,7 @@ SOURCE ?=
 SET ?=
 
 # the kind of cluster: embedded is made of this machine's processes and needs nothing else; kind is made of containers by
-# the program kind, with Docker or podman; existing is there already
+# the program kind, with Docker or podman; existing is there already, k3s too, and more is known of it
 CLUSTER ?= embedded
 # how a cluster that is there is reached, from where it pulls images (HOST/PATH, and the file of an authority that is none of the usual
 # ones), which Nodes are whose, a file with further values of the platform's chart; YES=1: nobody is asked
@@ -55,7 +55,7 @@ bench:          ## benchmarks: ratios against a baseline in the same run
 cluster:        ## only the cluster with the platform installed
 	@$(PYTHON) -m scenarios.demo $(SCENARIO) $(CHOSEN) --until platform $(addprefix --variant ,$(VARIANT)) $(addprefix --set ,$(SET))
 
-nodes:          ## only Nodes that are agents': of a new cluster, or by AGENTS of one that is there (CLUSTER=existing)
+nodes:          ## only Nodes that are agents': of a new cluster, or by AGENTS of one that is there (CLUSTER=existing or k3s)
 	@$(PYTHON) -m ci.cluster up $(CHOSEN)
 
 status:         ## what runs
@@ -80,7 +80,7 @@ lock:           ## write the lock files anew from operator/pyproject.toml
 	@$(PYTHON) -m ci.lock
 
 golden:         ## write the charts' golden renderings anew
-	@ROBOTKUBE_GOLDEN=write $(PYTHON) -m pytest -c operator/pyproject.toml -p no:cacheprovider operator/tests/charts/test_rendering.py operator/tests/charts/test_managers.py operator/tests/charts/test_tls.py operator/tests/charts/test_processes_tls.py
+	@ROBOTKUBE_GOLDEN=write $(PYTHON) -m pytest -c operator/pyproject.toml -p no:cacheprovider operator/tests/charts/test_rendering.py operator/tests/charts/test_managers.py operator/tests/charts/test_tls.py operator/tests/charts/test_processes_tls.py operator/tests/charts/test_k3s.py
 
 reference:      ## write the generated pages of docs/reference anew
 	@$(PYTHON) -m ci.reference

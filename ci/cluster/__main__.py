@@ -59,8 +59,8 @@ def run(options: argparse.Namespace) -> None:
         down(chosen)
     elif options.command == "status":
         print(choosing.provider(chosen).status())
-    elif chosen.kind == Existing.kind:
-        take(Existing(chosen.given), options.dry_run)
+    elif chosen.kind in choosing.TAKEN:
+        take(choosing.taken(chosen.kind, chosen.given), options.dry_run)
     elif options.dry_run:
         dry_run(options, chosen)
     else:

@@ -13,6 +13,7 @@ from ci.cluster.addresses import PLANS
 from ci.cluster.embedded import Embedded
 from ci.cluster.existing.nodes import GivenCluster
 from ci.cluster.existing.provider import Existing
+from ci.cluster.k3s.provider import K3s
 from ci.cluster.kind.provider import KindCluster
 from ci.cluster.provider import Provider
 from ci.errors import InputError
@@ -21,9 +22,12 @@ NAME = "demo"
 OFFERED = {
     Embedded.kind: "made of this machine's processes; runs everything",
     KindCluster.kind: "made of containers by kind, with Docker or podman; runs what asks nothing of machines",
+    K3s.kind: "a k3s that somebody else set up, taken as existing is, with its own files, images and storage",
     Existing.kind: "a cluster that somebody else made; its Nodes become agents', and scenarios run, until make down",
 }
 """Kinds of clusters, and what each is."""
+TAKEN: dict[str, type[Existing]] = {K3s.kind: K3s, Existing.kind: Existing}
+"""Kinds of clusters that are there already."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What names a cluster on a command line."""
     parser.add_argument("--cluster", default=Embedded.kind, metavar="KIND", help=f"one of {', '.join(OFFERED)}")
     parser.add_argument("--name", choices=sorted(PLANS), default=NAME, help="of a cluster that is made")
-    given = parser.add_argument_group(f"of a cluster that is there ({Existing.kind})")
-    given.add_argument("--kubeconfig", default="", metavar="FILE", help="default: that of kubectl")
+    given = parser.add_argument_group(f"of a cluster that is there ({', '.join(TAKEN)})")
+    given.add_argument("--kubeconfig", default="", metavar="FILE", help="default: that of kubectl, or of k3s")
     given.add_argument("--context", default="", help="of the kubeconfig (default: its current one)")
     given.add_argument("--registry", default="", metavar="HOST/PATH", help="where the cluster pulls the images")
     given.add_argument("--registry-ca", type=Path, metavar="FILE", help="who signed that one's certificate (PEM)")
@@ -64,7 +68,7 @@ def provider(chosen: Choice, binaries: Path = Path()) -> Provider:
     """The cluster, for an installation and for scenarios. `binaries`: the tool chain's folder, for one that is made."""
     if chosen.kind == KindCluster.kind:
         return _kind(binaries)
-    return _existing(chosen.given) if chosen.kind == Existing.kind else Embedded(chosen.name, binaries)
+    return taken(chosen.kind, chosen.given) if chosen.kind in TAKEN else Embedded(chosen.name, binaries)
 
 
 @functools.cache
@@ -74,9 +78,9 @@ def _kind(binaries: Path) -> KindCluster:
 
 
 @functools.cache
-def _existing(given: GivenCluster) -> Existing:
-    """One in each process: it has ways to the cluster's Services open."""
-    return Existing(given)
+def taken(kind: str, given: GivenCluster) -> Existing:
+    """A cluster that is there, one in each process: it has ways to the cluster's Services open."""
+    return TAKEN[kind](given)
 
 
 def remove_running(say: Callable[[str], None]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ from ci.errors import InputError, SetUpError
 CONFLICT, NOT_FOUND = 409, 404
 ATTEMPTS_MAX = 5  # at a Node that somebody else writes to meanwhile
 ANSWER_SECONDS_MAX = 10
+OF_API_SERVERS = {"label_selector": "kubernetes.io/service-name=kubernetes"}
 Ask = Callable[[str], bool]
 Plan = Callable[[Sequence[GivenNode]], tuple[Change, ...]]
 
@@ -60,11 +62,16 @@ class GivenNodes:
 
     def all_states(self) -> tuple[NodeState, ...]:
         """All Nodes, by name."""
-        return tuple(sorted(map(status.node_state, self._listed()), key=lambda one: one.name))
+        return tuple(sorted(map(status.node_state, self.objects()), key=lambda one: one.name))
+
+    def objects(self) -> list[Mapping[str, Any]]:
+        """All Nodes as the API server has them."""
+        answer = self._call("Nodes", client.CoreV1Api(self._api).list_node)
+        return [self._api.sanitize_for_serialization(one) for one in answer.items]
 
     def planned(self, plan: Plan) -> tuple[Change, ...]:
         """What the plan says of the Nodes as they are."""
-        return plan([_given_node(one) for one in self._listed()])
+        return plan([_given_node(one) for one in self.objects()])
 
     def agree(self, lines: Sequence[object]) -> None:
         """InputError unless somebody agrees that this is written."""
@@ -83,7 +90,7 @@ class GivenNodes:
         known = {change.node: change for change in agreed}
         written: dict[str, Change] = {}
         for _ in range(ATTEMPTS_MAX):
-            listed = self._listed()
+            listed = self.objects()
             changes = plan([_given_node(one) for one in listed])
             if not changes:
                 return tuple(map(str, written.values()))
@@ -102,9 +109,22 @@ class GivenNodes:
         found = self._call(f"Namespace {name}", read, name, passing=NOT_FOUND)
         return self._api.sanitize_for_serialization(found) or {}
 
-    def _listed(self) -> list[Mapping[str, Any]]:
-        answer = self._call("Nodes", client.CoreV1Api(self._api).list_node)
-        return [self._api.sanitize_for_serialization(one) for one in answer.items]
+    def api_servers(self) -> frozenset[tuple[str, int]]:
+        """Address and port of each API server to which the Service `kubernetes` leads."""
+        read = functools.partial(client.DiscoveryV1Api(self._api).list_namespaced_endpoint_slice, **OF_API_SERVERS)
+        slices = self._call("EndpointSlices of Service kubernetes", read, "default").items
+        return frozenset(
+            (address, port.port)
+            for one in slices
+            for endpoint in one.endpoints or ()
+            for address in endpoint.addresses
+            for port in one.ports or ()
+        )
+
+    def storage_classes(self) -> frozenset[str]:
+        """The names of the cluster's StorageClasses."""
+        answer = self._call("StorageClasses", client.StorageV1Api(self._api).list_storage_class)
+        return frozenset(str(one.metadata.name) for one in answer.items)
 
     def _patch(self, change: Change, version: str) -> None:
         """Write a change to a Node that is as it was read; nothing where somebody else was faster."""

@@ -30,17 +30,12 @@ COMMAND_SECONDS_MAX = 60
 
 class Existing(ReachedThroughApiServer):
     """One cluster that is there. `ask` shows a person what would be written, and gives the answer; `binaries`: the tool
-    chain's folder, which is looked for when nobody names it."""
+    chain's folder, which is looked for when nobody names it.
+
+    A kind whose distribution is known says what it knows by `recognise`, `of_cluster` and the methods about images;
+    here nothing is known."""
 
     kind = "existing"
-    lacks = (
-        "application charts name images as they were built: Nodes find these by a mirror of that name "
-        "(docs/how-to/use-a-cluster-that-is-there.md), and what publishers push to the forge is not pulled",
-        "bags and ledgers are copied by pods in the agents' namespaces, which the inspector names while they are there",
-        "Nodes of the role platform get no taint: pods of others may run beside the platform's",
-        "weights and outages of Nodes, conditions of the network, CPU time and admission from files are not there: the "
-        "machines are not this provider's",
-    )
 
     def __init__(self, given: GivenCluster, ask: Ask | None = None, binaries: Path = Path()) -> None:
         super().__init__(binaries)
@@ -53,6 +48,18 @@ class Existing(ReachedThroughApiServer):
         return self._nodes.context
 
     @property
+    def lacks(self) -> tuple[str, ...]:
+        """See NodesProvider.lacks."""
+        return (
+            self.lacking_images(),
+            "bags and ledgers are copied by pods in the agents' namespaces, which the inspector names while they are "
+            "there",
+            "Nodes of the role platform get no taint: pods of others may run beside the platform's",
+            "weights and outages of Nodes, conditions of the network, CPU time and admission from files are not there: "
+            "the machines are not this provider's",
+        )
+
+    @property
     def values_file(self) -> Path:
         """Values for the platform's chart on this cluster, for who installs it without the demo."""
         return self.work() / "values.yaml"
@@ -60,37 +67,69 @@ class Existing(ReachedThroughApiServer):
     def take(self) -> tuple[str, ...]:
         """Make Nodes those of agents.yaml; what was written, a line for each Node. Values for the chart are written to
         `values_file`."""
+        self.recognise()
         entries = self._entries()
+        values = self._with_given(self._of_agents(entries))
         written = self._take(entries, ())
         self.values_file.parent.mkdir(parents=True, exist_ok=True)
-        self.values_file.write_text(yaml.safe_dump(self._with_given(self._of_agents(entries))), encoding="utf-8")
+        self.values_file.write_text(yaml.safe_dump(values), encoding="utf-8")
         return written
 
     def planned(self) -> tuple[str, ...]:
         """What `take` would write, a line for each Node."""
+        self.recognise()
         entries = self._entries()
         return tuple(map(str, self._nodes.planned(lambda nodes: labels.adding(nodes, entries))))
 
     def up(self, topology: Topology, wanted: Sequence[Image]) -> None:
         """See Provider.up: its Nodes are taken, and whatever the installation adds is agreed to."""
-        if not self._given.registry:
-            raise InputError("REGISTRY=HOST/PATH is needed: from there the cluster pulls the platform's images")
+        self.recognise()
+        brought = self.images_to_bring(wanted)
         entries = self._entries()
         mapping.require_agents(entries, topology)
-        self._take(entries, self._to_install(), wanted)
+        self._take(entries, [*brought, *self._to_install()], wanted)
+        self.bring_images(wanted)
+
+    def lacking_images(self) -> str:
+        """The sentence about images of application charts, and about those of publishers."""
+        return (
+            "application charts name images as they were built: Nodes find these by a mirror of that name "
+            "(docs/how-to/use-a-cluster-that-is-there.md), and what publishers push to the forge is not pulled"
+        )
+
+    def recognise(self) -> None:
+        """InputError where the cluster is none of this kind; any is."""
+
+    def images_to_bring(self, wanted: Sequence[Image]) -> list[str]:
+        """What would be written to bring the images there, in words; nothing where Nodes pull all of them. InputError
+        where they cannot be brought."""
+        if not self._given.registry:
+            raise InputError("REGISTRY=HOST/PATH is needed: from there the cluster pulls the platform's images")
+        return []
+
+    def bring_images(self, wanted: Sequence[Image]) -> None:
+        """Bring the images there, once that was agreed to; Nodes pull them."""
+
+    def brought(self) -> tuple[Path, ...]:
+        """The files on machines of the cluster that brought images there."""
+        return ()
+
+    def of_cluster(self) -> Mapping[str, Any]:
+        """What the chart is told of the cluster itself."""
+        return {}
 
     def down(self) -> tuple[str, ...]:
         """See NodesProvider.down: first what was installed, then the labels of Nodes."""
         there = [name for name in (NAMESPACE, GATE, ARGOCD) if self._is_added(self._nodes.namespace(name))]
-        changes = self._nodes.planned(labels.removing)
-        if there or changes:
+        changes, files = self._nodes.planned(labels.removing), self.brought()
+        if there or changes or files:
             goes = [removing.goes(self._installer(), ADDED)] if there else []
-            self._nodes.agree([*goes, *changes])
+            self._nodes.agree([*goes, *changes, *(f"file {file} goes" for file in files)])
         removed = removing.remove(self._installer(), ADDED) if there else ()
         written = self._nodes.write(labels.removing, changes)
-        for file in (self.values_file, self.work() / "kubeconfig"):
+        for file in (*files, self.values_file, self.work() / "kubeconfig"):
             file.unlink(missing_ok=True)
-        return (*removed, *written)
+        return (*removed, *written, *(f"file {file}" for file in files))
 
     def kept(self) -> tuple[str, ...]:
         """See NodesProvider.kept."""
@@ -106,7 +145,7 @@ class Existing(ReachedThroughApiServer):
 
     def work(self) -> Path:
         """See Provider.work."""
-        return user_cache() / "existing" / re.sub(r"[^A-Za-z0-9.-]", "_", self.name)
+        return user_cache() / self.kind / re.sub(r"[^A-Za-z0-9.-]", "_", self.name)
 
     def kubeconfig(self) -> Path:
         """See Provider.kubeconfig: a file with the one context alone."""
@@ -152,9 +191,10 @@ class Existing(ReachedThroughApiServer):
         return self._with_given({**self._of_agents(entries), **values_of_built_images()})
 
     def _of_agents(self, entries: Sequence[mapping.AgentEntry]) -> dict[str, Any]:
-        """What the chart is told of agents and registry, whoever installs it."""
+        """What the chart is told of agents, registry and cluster, whoever installs it."""
         place = self._place()
-        return {"agents": chart_agents(entries), **({"global": {"imageRegistry": place}} if place else {})}
+        pulled = {"global": {"imageRegistry": place}} if place else {}
+        return {"agents": chart_agents(entries), **pulled, **self.of_cluster()}
 
     def _with_given(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Values with those of the given file upon them."""

@@ -18,6 +18,7 @@ import pytest
 import yaml
 
 from ci import folders
+from ci.cluster.k3s import provider as k3s
 from scenarios import demo
 
 pytestmark = pytest.mark.processes
@@ -98,7 +99,8 @@ def test_a_wrong_parameter_ends_the_demo_before_its_beginning(
 @pytest.mark.parametrize(
     ("kind", "first"),
     [
-        ("k3s", "CLUSTER=k3s: there is no such kind of cluster; there is embedded: "),
+        ("k3d", "CLUSTER=k3d: there is no such kind of cluster; there is embedded: "),
+        ("k3s", "{home}/k3s.yaml: is not there, so no server of k3s runs on this machine"),
         ("existing", "kubectl's kubeconfig: Invalid kube-config"),
     ],
 )
@@ -107,11 +109,13 @@ def test_a_cluster_that_cannot_run_it_ends_the_demo_before_its_beginning(
 ) -> None:
     for name in ("HOME", "XDG_CACHE_HOME"):
         monkeypatch.setenv(name, str(home))
+    monkeypatch.delenv("KUBECONFIG", raising=False)
+    monkeypatch.setattr(k3s, "KUBECONFIG", home / "k3s.yaml")
     monkeypatch.setattr(sys, "argv", ["demo", str(SCENARIO), "--cluster", kind])
     assert demo.main() == 1
     printed = capsys.readouterr()
     assert (printed.out, list(home.iterdir())) == ("", [])
-    assert printed.err.removeprefix("error: ").startswith(first)
+    assert printed.err.removeprefix("error: ").startswith(first.format(home=home))
 
 
 def test_a_wrong_scenario_ends_the_demo_before_its_beginning(home: Path, tmp_path: Path) -> None:

@@ -34,10 +34,17 @@ def test_how_a_cluster_that_is_there_is_reached() -> None:
     assert chosen("--cluster", "existing", *words) == Choice("demo", "existing", given)
 
 
-@pytest.mark.parametrize("kind", ["minikube", "k3s", ""])
+@pytest.mark.parametrize("kind", ["minikube", "k3d", ""])
 def test_kinds_that_are_not_offered_are_refused_with_those_that_are(kind: str) -> None:
-    with pytest.raises(InputError, match=f"CLUSTER={kind}: there is no such kind .* embedded: .*; existing: "):
+    with pytest.raises(InputError, match=f"CLUSTER={kind}: there is no such kind .* embedded: .*; k3s: .*; existing: "):
         chosen("--cluster", kind)
+
+
+def test_a_k3s_is_a_cluster_that_is_there(tmp_path: Path) -> None:
+    words = ("--cluster", "k3s", "--kubeconfig", str(tmp_path / "none"))
+    assert chosen(*words) == Choice("demo", "k3s", GivenCluster(str(tmp_path / "none")))
+    with pytest.raises(InputError, match="give KUBECONFIG and CONTEXT"):
+        choosing.provider(chosen(*words))
 
 
 def test_the_chart_is_told_what_the_embedded_cluster_needs() -> None:

@@ -127,7 +127,7 @@ def test_who_writes_to_a_node_meanwhile_is_not_overrun(
     api: Api, given: GivenCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A Node changes between reading and writing: it is read again, and what the other one wrote stays."""
-    listed, turns = GivenNodes._listed, []
+    listed, turns = GivenNodes.objects, []
 
     def meanwhile(self: GivenNodes) -> list[Mapping[str, Any]]:
         nodes = listed(self)
@@ -136,7 +136,7 @@ def test_who_writes_to_a_node_meanwhile_is_not_overrun(
             api.merge("/api/v1/nodes/given-1", {"metadata": {"labels": {"theirs": "new"}}})
         return nodes
 
-    monkeypatch.setattr(GivenNodes, "_listed", meanwhile)
+    monkeypatch.setattr(GivenNodes, "objects", meanwhile)
     cluster = Existing(given)
     cluster.take()
     assert labels(api, "given-1")["theirs"] == "new"
