@@ -13,6 +13,7 @@ from ci.cluster.addresses import PLANS
 from ci.cluster.embedded import Embedded
 from ci.cluster.existing.nodes import GivenCluster
 from ci.cluster.existing.provider import Existing
+from ci.cluster.k3s import archives
 from ci.cluster.k3s.provider import K3s
 from ci.cluster.kind.provider import KindCluster
 from ci.cluster.provider import Provider
@@ -28,6 +29,7 @@ OFFERED = {
 """Kinds of clusters, and what each is."""
 TAKEN: dict[str, type[Existing]] = {K3s.kind: K3s, Existing.kind: Existing}
 """Kinds of clusters that are there already."""
+OF_K3S = f"k3s, without a registry, imports images from the folder {archives.VARIABLE} (default: {archives.FOLDER})"
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What names a cluster on a command line."""
     parser.add_argument("--cluster", default=Embedded.kind, metavar="KIND", help=f"one of {', '.join(OFFERED)}")
     parser.add_argument("--name", choices=sorted(PLANS), default=NAME, help="of a cluster that is made")
-    given = parser.add_argument_group(f"of a cluster that is there ({', '.join(TAKEN)})")
+    given = parser.add_argument_group(f"of a cluster that is there ({', '.join(TAKEN)})", OF_K3S)
     given.add_argument("--kubeconfig", default="", metavar="FILE", help="default: that of kubectl, or of k3s")
     given.add_argument("--context", default="", help="of the kubeconfig (default: its current one)")
     given.add_argument("--registry", default="", metavar="HOST/PATH", help="where the cluster pulls the images")
