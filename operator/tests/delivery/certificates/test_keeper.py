@@ -14,6 +14,7 @@ from robotkube.delivery.certificates.core.issuance import Issuance, ServerCertif
 from robotkube.delivery.certificates.loops.keeper import CertificateKeeper
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.certificates.core.lives import Life, Pair
+from tests.stages.pauses import Pauses
 
 DAY = 86_400.0
 BROKER = ServerCertificate("broker-tls", ("broker",), 90 * DAY)
@@ -99,7 +100,7 @@ class Stage:
         self.keeper = self.another()
 
     def another(self, issuance: Issuance = ISSUANCE) -> CertificateKeeper:
-        self.keeper = CertificateKeeper(self.objects, self.issuer, issuance, lambda: self.now)
+        self.keeper = CertificateKeeper(self.objects, self.issuer, issuance, lambda: self.now, lambda: 0.5)
         return self.keeper
 
     def shown(self, certificate: ServerCertificate = BROKER) -> Pair:
@@ -233,6 +234,17 @@ def test_a_problem_is_logged_once(stage: Stage, caplog: pytest.LogCaptureFixture
         stage.keeper.step()
     assert caplog.text.count("not all are as they should be") == 1
     assert stage.keeper.failed == 3
+
+
+def test_failures_are_repeated_after_a_back_off_which_is_never_longer_than_the_usual_time(stage: Stage) -> None:
+    stage.objects.away = {"authority"}
+    pauses = Pauses(4)
+    stage.keeper.run(pauses)
+    assert pauses.seconds == [0.5, 1.0, 2.0, 2.0]
+    stage.objects.away = set()
+    pauses = Pauses(2)
+    stage.keeper.run(pauses)
+    assert pauses.seconds == [60.0, 60.0]
 
 
 def test_a_certificate_that_is_over_is_no_state_to_be_ready_in(stage: Stage) -> None:

@@ -15,6 +15,9 @@ SOURCES = SOURCE / "robotkube"
 # a loop that doubles its pause by itself; a rule's process is started anew by the process that it belongs to
 DOUBLES = re.compile(r"(pause|backoff|retry_seconds|delay) = min\(|2 \*\* ?worker\.failures|\* 2\*\*worker\.failures")
 ALONE = {"workers.py"}
+REPEATS = re.compile(r"^(RETRY|AGAIN|FAILURE)_SECONDS", re.MULTILINE)
+BACKS_OFF = re.compile(r"\b(backoff|step_when_woken)\(")
+NO_PAUSE = {"asking.py": "what the console says to a browser (Retry-After)", "settings.py": "bounds of a key"}
 
 
 def test_the_bound_doubles_up_to_the_maximum() -> None:
@@ -42,3 +45,8 @@ def test_waits_spread_over_the_whole_time(source: random.Random) -> None:
 def test_no_loop_doubles_its_pause_by_itself() -> None:
     found = {path.name for path in SOURCES.rglob("*.py") if DOUBLES.search(path.read_text())}
     assert found == ALONE
+
+
+def test_no_loop_repeats_what_failed_after_a_pause_that_is_always_the_same() -> None:
+    texts = {path.name: path.read_text() for path in SOURCES.rglob("*.py") if REPEATS.search(path.read_text())}
+    assert {name for name, text in texts.items() if not BACKS_OFF.search(text)} == ALONE | set(NO_PAUSE)

@@ -1,6 +1,7 @@
 """The publication loop with all but the keys in memory: verdicts and kept results."""
 
 import json
+import threading
 from pathlib import Path
 
 import pytest
@@ -15,9 +16,10 @@ from robotkube.registry.charts.core.packing import PackedChart
 from robotkube.registry.evidence.adapters.dsse import KeyFile
 from robotkube.registry.evidence.core.statements import Artefact, Check, SuiteResult, suite_statement
 from robotkube.registry.evidence.core.verification_policy import PATH as POLICY_PATH
-from robotkube.registry.publication.loops.publication import publication_metrics
+from robotkube.registry.publication.loops.publication import FAILURE_SECONDS_MAX, POLL_SECONDS, publication_metrics
 from robotkube.registry.publication.loops.verification import MARGIN_SECONDS
 from robotkube.registry.suites.core.requests import SuiteProgress
+from tests.stages.pauses import Pauses
 from tests.stages.registry import submissions
 from tests.stages.registry.publication_in_memory import POLICY, PublicationStage, assured, status_of
 from tests.stages.registry.submissions import CATALOGUE, SUITES, application, chart, entry_path, key, trusted
@@ -213,6 +215,19 @@ def test_a_runner_that_is_away_decides_nothing(world: PublicationStage) -> None:
     world.runner.fail = None
     world.settle(number)
     assert world.merged(number)
+
+
+def test_rounds_that_failed_are_repeated_after_a_back_off(
+    world: PublicationStage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stopping = threading.Event()
+    pauses = Pauses(4, stopping)
+    world.catalogue.away = True
+    monkeypatch.setattr(world.gate, "_woken", pauses)
+    monkeypatch.setattr(world.gate, "_jitter", lambda: 0.5)
+    world.gate.run(stopping)
+    longest = FAILURE_SECONDS_MAX / 2
+    assert pauses.seconds == [POLL_SECONDS / 2, longest, longest, longest]
 
 
 def test_a_request_that_the_runner_refuses_is_told(world: PublicationStage) -> None:

@@ -4,9 +4,11 @@ every namespace of agents told whom to trust."""
 from __future__ import annotations
 
 import logging
+import random
 import threading
 from collections.abc import Callable, Sequence
 
+from robotkube.backoffs import Random, backoff
 from robotkube.delivery.certificates.core.issuance import Issuance, ServerCertificate
 from robotkube.delivery.certificates.ports import CertificateObjects, Issuer
 from robotkube.errors import InputError, RobotKubeError
@@ -16,7 +18,7 @@ from robotkube.foundation.runtime.ports import Series, by_one
 CHECK_SECONDS = 60.0
 CHECK_SHARE = 0.05
 """Of a certificate's life: one that lives for a minute is looked at every 3 s."""
-RETRY_SECONDS = 2.0
+RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 1.0, 4.0
 AUTHORITY_NAME = "RobotKube platform"
 
 log = logging.getLogger(__name__)
@@ -26,12 +28,18 @@ class CertificateKeeper:
     """The certificates of one platform, on one thread. `wall` in seconds since 1970."""
 
     def __init__(
-        self, objects: CertificateObjects, issuer: Issuer, issuance: Issuance, wall: Callable[[], float]
+        self,
+        objects: CertificateObjects,
+        issuer: Issuer,
+        issuance: Issuance,
+        wall: Callable[[], float],
+        jitter: Random = random.random,
     ) -> None:
         self._objects = objects
         self._issuer = issuer
         self._issuance = issuance
         self._wall = wall
+        self._jitter = jitter
         self.problem = "nothing was looked at yet"
         self.lives: dict[str, Life] = {}
         self.issued = self.published = self.failed = 0
@@ -39,9 +47,14 @@ class CertificateKeeper:
     def run(self, stopping: threading.Event) -> None:
         """Keep them until `stopping` is set."""
         interval = min(CHECK_SECONDS, *(CHECK_SHARE * one.seconds for one in self._issuance.certificates))
+        failures = 0
         while not stopping.wait(0.0):
             self.step()
-            stopping.wait(min(interval, RETRY_SECONDS) if self.problem else interval)
+            failures = failures + 1 if self.problem else 0
+            pause = (
+                backoff(failures - 1, RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX, self._jitter) if failures else interval
+            )
+            stopping.wait(min(interval, pause))
 
     def step(self) -> None:
         """Look at all of them once, and put right what is due. A problem is logged when it is another one."""

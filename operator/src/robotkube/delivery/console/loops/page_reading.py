@@ -15,6 +15,7 @@ from robotkube.errors import InputError, RobotKubeError
 from robotkube.foundation.runtime.loops.following import step_when_woken
 
 RESYNC_SECONDS = 3.0
+RETRY_SECONDS_BOUNDS = (RESYNC_SECONDS, 2 * RESYNC_SECONDS)
 LEAST_SECONDS = 0.3  # between two readings, however much changes
 CATALOGUE_SECONDS = 15.0
 SETTINGS_SECONDS = 30.0
@@ -60,7 +61,7 @@ class ManagerReader:
 
     def run(self, stopping: threading.Event) -> None:
         """Read until `stopping` is set, and `wake` called."""
-        step_when_woken(_rested(self.step, stopping), self._woken, stopping, RESYNC_SECONDS, RESYNC_SECONDS)
+        step_when_woken(_rested(self.step, stopping), self._woken, stopping, RESYNC_SECONDS, RETRY_SECONDS_BOUNDS)
 
 
 class DetectorReader:
@@ -125,7 +126,7 @@ class DetectorReader:
 
     def run(self, stopping: threading.Event) -> None:
         """Read until `stopping` is set, and `wake` called."""
-        step_when_woken(_rested(self.step, stopping), self._woken, stopping, RESYNC_SECONDS, RESYNC_SECONDS)
+        step_when_woken(_rested(self.step, stopping), self._woken, stopping, RESYNC_SECONDS, RETRY_SECONDS_BOUNDS)
 
 
 def _rules_of(document: Mapping[str, object]) -> Mapping[str, object]:

@@ -12,11 +12,13 @@ it is; what a person proposes is joined with main, and what is pushed is checked
 from __future__ import annotations
 
 import logging
+import random
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from robotkube.backoffs import Random, backoff
 from robotkube.delivery.deployment.core.merge_records import MergeRecord
 from robotkube.delivery.deployment.core.policies.merge import APPROVAL, AUTOMATIC, Way
 from robotkube.delivery.deployment.loops.unchecked_commits import UncheckedWatch
@@ -39,6 +41,7 @@ from robotkube.registry.charts.core.values_schemas import Validate
 from robotkube.registry.charts.ports import RenderedImages
 
 POLL_SECONDS = 2.0  # open pull requests, when no webhook came for so long
+FAILURE_SECONDS_MAX = 4.0  # the longest pause after rounds that failed; the first one's bound is POLL_SECONDS
 SILENT_SECONDS_MAX = 30.0  # not ready when the forge was not seen for longer
 HINTS_MAX = 100
 WAKING_ACTIONS = frozenset({"opened", "reopened", "synchronized", "synchronize"})  # the last is GitHub's
@@ -96,8 +99,10 @@ class Gate:
         managers: Sequence[PushHook] = (),
         recorder: MergeRecorder | None = None,
         unchecked: UncheckedWatch | None = None,
+        jitter: Random = random.random,
     ) -> None:
         self._forge = forge
+        self._jitter = jitter
         self._main = main
         self._commits = commits
         self._push_hook = push_hook
@@ -173,6 +178,7 @@ class Gate:
         resynced_at = self._monotonic() - RESYNC_SECONDS
         listed_at = resynced_at
         answered_at = resynced_at
+        failures = 0
         while not stopping.is_set():
             self._woken.clear()
             try:
@@ -188,9 +194,16 @@ class Gate:
                         self._resync_due = False
                         resynced_at = now
                     self.round(resync)
+                failures = 0
             except RobotKubeError as error:
+                failures += 1
+                listed_at = self._monotonic() - POLL_SECONDS  # what failed is tried again after the pause
                 log.error("round failed reason=%s", error)
-            self._woken.wait(POLL_SECONDS)
+            self._woken.wait(self._pause(failures))
+
+    def _pause(self, failures: int) -> float:
+        """Seconds until the next round, unless somebody wakes it: more, and not all the same, after failures."""
+        return backoff(failures - 1, POLL_SECONDS, FAILURE_SECONDS_MAX, self._jitter) if failures else POLL_SECONDS
 
     # -- one round ------------------------------------------------------------------------------------------------
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+import random
 import threading
 from collections.abc import Callable, Mapping, Sequence
 
+from robotkube.backoffs import Random, backoff
 from robotkube.delivery.rights.core.accounts import Accounts, fixed_rights
 from robotkube.delivery.rights.core.control import STATE, Entry, Standing, read_standing, role_pages, wanted_roles
 from robotkube.delivery.rights.core.differences import (
@@ -24,7 +26,7 @@ from robotkube.foundation.runtime.ports import Series
 
 TURN_SECONDS = 0.2
 CHECK_SECONDS = 5.0
-RETRY_SECONDS = 1.0
+RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 1.0, 2.0
 
 log = logging.getLogger(__name__)
 
@@ -41,13 +43,16 @@ class Keeper:
         follower: Callable[[], MainFollower],
         accounts: Accounts,
         monotonic: Callable[[], float],
+        jitter: Random = random.random,
     ) -> None:
         self._control = control
         self._follower = follower
         self._first = wanted_roles(fixed_rights(accounts))
         self._monotonic = monotonic
+        self._jitter = jitter
         self._woken = threading.Event()
         self._due = 0.0
+        self._failures = 0  # since the broker had main's table last
         self._connections = 0
         self._written: Roles = {}  # what this process gave the broker, empty before that
         self._shut: frozenset[str] | None = None  # whom it shut out, as main said then
@@ -87,10 +92,12 @@ class Keeper:
         if self.problem:
             log.info("rights: the broker has main's table again")
         self.problem = ""
+        self._failures = 0
 
     def _failed(self, problem: str, now: float) -> None:
         self.failed += 1
-        self._due = now + RETRY_SECONDS
+        self._due = now + backoff(self._failures, RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX, self._jitter)
+        self._failures += 1
         self.applied = ""
         if problem != self.problem:
             log.warning("rights: the broker does not have main's table: %s", problem)

@@ -15,7 +15,7 @@ from robotkube.foundation.forge.core.resync import RESYNC_SECONDS
 from robotkube.foundation.forge.ports.repositories import MainHistory
 from robotkube.foundation.runtime.loops.following import step_when_woken
 
-RETRY_SECONDS = 1.0
+RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 1.0, 2.0
 
 log = logging.getLogger(__name__)
 
@@ -94,4 +94,5 @@ class MainFollower:
 
     def run(self, stopping: threading.Event) -> None:
         """Read when woken, and now and then without, until `stopping` is set (and `wake` called)."""
-        step_when_woken(self.step, self._woken, stopping, RESYNC_SECONDS, RETRY_SECONDS)
+        retry_seconds = (RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX)
+        step_when_woken(self.step, self._woken, stopping, RESYNC_SECONDS, retry_seconds)

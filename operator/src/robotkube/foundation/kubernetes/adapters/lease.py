@@ -14,6 +14,7 @@ A process that stood still in between is stopped by its term, which the gate com
 from __future__ import annotations
 
 import logging
+import random
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,12 +24,14 @@ from typing import Any
 import urllib3
 from kubernetes import client
 
+from robotkube.backoffs import Random, backoff
 from robotkube.errors import InputError, RobotKubeError, UnavailableError
 from robotkube.writes import writes
 
 LEASE_SECONDS = 8
 HOLD_SECONDS = 6.0
 RENEW_SECONDS = 2.0
+RETRY_SECONDS_FIRST = 0.5  # after a failure, at most RENEW_SECONDS
 REQUEST_SECONDS_MAX = 3.0
 NOT_FOUND = 404
 CONFLICT = 409
@@ -68,6 +71,7 @@ class LeaseElection:
         monotonic: Callable[[], float],
         now: Callable[[], datetime],
         changed: Callable[[], None],
+        jitter: Random = random.random,
     ) -> None:
         self._leases = client.CoordinationV1Api(api)
         self._namespace = namespace
@@ -76,6 +80,7 @@ class LeaseElection:
         self._monotonic = monotonic
         self._now = now
         self._changed = changed
+        self._jitter = jitter
         self._stopping = threading.Event()
         self._woken = threading.Event()
         self._thread: threading.Thread | None = None
@@ -122,18 +127,24 @@ class LeaseElection:
                 log.warning("lease not given back lease=%s reason=%s", self._name, error)
 
     def _run(self) -> None:
+        failures = 0
         while not self._stopping.is_set():
             led = self.term()
             self._woken.clear()
             try:
                 self.try_to_lead()
+                failures = 0
             except RobotKubeError as error:
+                failures += 1
                 self.complaint = str(error)
                 log.warning("election failed lease=%s reason=%s", self._name, error)
             if self.term() != led:
                 log.info("leading lease=%s term=%s", self._name, self.term())
                 self._changed()
-            self._woken.wait(RENEW_SECONDS)
+            pause = (
+                backoff(failures - 1, RETRY_SECONDS_FIRST, RENEW_SECONDS, self._jitter) if failures else RENEW_SECONDS
+            )
+            self._woken.wait(pause)
 
     def try_to_lead(self) -> None:
         """Renew, take over, or see that another one leads. UnavailableError, InputError: it is not known who leads."""

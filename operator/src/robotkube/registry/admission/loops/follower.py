@@ -18,7 +18,7 @@ from robotkube.foundation.runtime.loops.following import step_when_woken
 from robotkube.foundation.runtime.ports import Series, by_one
 from robotkube.registry.admission.core.listing import AllowedVersions
 
-RETRY_SECONDS = 1.0
+RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 1.0, 2.0
 
 log = logging.getLogger(__name__)
 
@@ -93,7 +93,8 @@ class Follower:
 
     def run(self, stopping: threading.Event) -> None:
         """Step when woken, and now and then without, until `stopping` is set (and `wake` called)."""
-        step_when_woken(self.step, self._woken, stopping, RESYNC_SECONDS, RETRY_SECONDS)
+        retry_seconds = (RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX)
+        step_when_woken(self.step, self._woken, stopping, RESYNC_SECONDS, retry_seconds)
 
     @property
     def unconfirmed_seconds(self) -> float:

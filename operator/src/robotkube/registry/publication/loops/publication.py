@@ -10,11 +10,13 @@ its next start. What people propose, who are no publishers, is checked and merge
 from __future__ import annotations
 
 import logging
+import random
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from robotkube.backoffs import Random, backoff
 from robotkube.errors import DocumentError, InputError, RobotKubeError, UnavailableError
 from robotkube.foundation.forge.core.reviews import approvers
 from robotkube.foundation.forge.ports.pull_requests import Forge, PullRequest
@@ -41,6 +43,7 @@ from robotkube.registry.publication.loops.verification import ChartVerification
 
 POLL_SECONDS = 2.0  # open submissions, when no webhook came
 BUSY_SECONDS = 0.5  # while suites run
+FAILURE_SECONDS_MAX = 4.0  # the longest pause after rounds that failed
 SILENT_SECONDS_MAX = 30.0  # not ready when the forge was not seen for longer
 VERDICTS = ("published", "refused", "unchanged", "failed")
 WAKING_ACTIONS = frozenset({"opened", "reopened", "synchronized", "reviewed"})
@@ -81,8 +84,10 @@ class PublicationLoop:
         tools: Tools,
         monotonic: Callable[[], float],
         published: Callable[[], None] = lambda: None,
+        jitter: Random = random.random,
     ) -> None:
         self._forge = forge
+        self._jitter = jitter
         self._main = main
         self._commits = commits
         self._verifying = verifying
@@ -127,14 +132,22 @@ class PublicationLoop:
     def run(self, stopping: threading.Event) -> None:
         """Rounds until `stopping` is set; errors of forge, OCI registry and suite-runner are logged, and the next round
         tries again."""
+        failures = 0
         while not stopping.is_set():
             self._woken.clear()
             try:
                 self.round()
+                failures = 0
             except RobotKubeError as error:
+                failures += 1
                 log.error("publication round failed reason=%s", error)
-            busy = any(not underway.waiting_for for underway in self._underway.values())
-            self._woken.wait(BUSY_SECONDS if busy else POLL_SECONDS)
+            self._woken.wait(self._pause(failures))
+
+    def _pause(self, failures: int) -> float:
+        """Seconds until the next round, unless somebody wakes it: more, and not all the same, after failures."""
+        busy = any(not underway.waiting_for for underway in self._underway.values())
+        usual = BUSY_SECONDS if busy else POLL_SECONDS
+        return backoff(failures - 1, usual, FAILURE_SECONDS_MAX, self._jitter) if failures else usual
 
     # -- one round ------------------------------------------------------------------------------------------------
 
