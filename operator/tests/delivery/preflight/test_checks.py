@@ -42,6 +42,7 @@ VERSIONS_OF_KUBELETS = [
     ("v1.36.3", OK),
     ("v1.34.1+k3s1", FAILED),
     ("v1.36.0+k3s1", OK),
+    ("v1.35.0-rc.1", OK),
     ("", FAILED),
 ]
 DISKS = {"metadata": {"name": "disks"}, "provisioner": "example.com/disks"}
@@ -106,8 +107,10 @@ class TestValues:
 class TestVersion:
     def test_an_older_one_is_refused(self) -> None:
         assert "v1.28.9+k3s1 is older than >=1.29.0-0" in said(finding("version", version="v1.28.9+k3s1"))
+        newer = {"kubeVersion": ">=1.29.10"}
+        assert "v1.29.9 is older than >=1.29.10" in said(finding("version", chart=newer, version="v1.29.9"))
 
-    @pytest.mark.parametrize("version", ["v1.34.1+k3s1", "v1.29.0", "1.30.2-eks-1552ad0"])
+    @pytest.mark.parametrize("version", ["v1.34.1+k3s1", "v1.29.0", "v1.29.0-gke.100", "1.30.2-eks-1552ad0"])
     def test_what_a_distribution_adds_to_it_says_nothing_of_its_age(self, version: str) -> None:
         found = finding("version", version=version)
         assert (found.result, found.says) == (OK, f"{version}; the chart asks for >=1.29.0-0")
@@ -165,6 +168,14 @@ class TestRelease:
 
     def test_a_newer_one_that_is_installed(self) -> None:
         assert "version 0.10.0 is installed" in said(finding("release", release=HelmRevision("0.10.0", "deployed", 1)))
+
+    @pytest.mark.parametrize(
+        ("installed", "own", "result"),
+        [("0.2.0-rc.10", "0.2.0-rc.9", FAILED), ("0.2.0", "0.2.0-rc.10", FAILED), ("0.2.0-rc.9", "0.2.0-rc.10", OK)],
+    )
+    def test_pre_releases_have_an_order_too(self, installed: str, own: str, result: str) -> None:
+        release = HelmRevision(installed, "deployed", 1)
+        assert finding("release", release=release, chart={"version": own}).result == result
 
     def test_the_gate_of_an_earlier_version(self) -> None:
         def runs(replicas: int) -> ClusterFinding:

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from semver import Version
+
 from robotkube.delivery.preflight.core.findings import CheckVerdict, Problem, Unread, named
+from robotkube.delivery.preflight.core.kinds import read_version
 from robotkube.delivery.preflight.core.renderings import Object, agents, labels_of, name_of
 from robotkube.registry.suites.core.pod_security import items, mapping
 
 AGENT, ROLE, CAPABILITY = "robotkube.io/agent", "robotkube.io/role", "robotkube.io/capability."
 PLATFORM = "platform"  # the role of Nodes that run the platform and are no agent's
-MINOR = re.compile(r"v1\.([0-9]{1,3})\.")
-REFUSING_MINOR = 35
+REFUSING = Version(1, 35, 0, "0")  # and every later version: a pre-release of it, too
 WHY_NO_NODE = "until one is there tasks on it are refused with NoCapableNode"
 
 
@@ -124,5 +125,5 @@ def control_groups(versions: Mapping[str, int | Unread], nodes: Sequence[Object]
 def _refuses_version_1(node: Object) -> bool:
     """Whether the kubelet of a Node, unless it is told otherwise, does not start on control groups of version 1."""
     version = str(mapping(mapping(node.get("status")).get("nodeInfo")).get("kubeletVersion", ""))
-    known = MINOR.match(version)
-    return known is not None and int(known[1]) >= REFUSING_MINOR
+    known = read_version(version)
+    return known is not None and known >= REFUSING

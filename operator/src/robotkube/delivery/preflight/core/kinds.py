@@ -6,12 +6,13 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from semver import Version
+
 from robotkube.delivery.preflight.core.findings import CheckVerdict, Problem
 from robotkube.delivery.preflight.core.renderings import RenderedChart, enabled, group_of
 from robotkube.registry.suites.core.pod_security import mapping
 
-CONSTRAINT = re.compile(r"\s*>=\s*v?([0-9]+)\.([0-9]+)[0-9.-]*\s*")
-VERSION = re.compile(r"v?([0-9]+)\.([0-9]+)")
+AT_LEAST = re.compile(r"\s*>=\s*(\S+)\s*")
 ADMISSION_API = "admissionregistration.k8s.io/v1"
 ADMISSION_KIND = "ValidatingAdmissionPolicy"
 BROUGHT = {
@@ -25,15 +26,25 @@ Served = Mapping[str, frozenset[str]]
 def kubernetes_version(chart: Mapping[str, Any], version: str) -> CheckVerdict:
     """The API server's version meets `kubeVersion` of the chart."""
     wanted = str(chart.get("kubeVersion", ""))
-    least, present = CONSTRAINT.fullmatch(wanted), VERSION.match(version)
-    if not least or not present:
+    constraint = AT_LEAST.fullmatch(wanted)
+    least = read_version(constraint[1]) if constraint else None
+    present = read_version(version)
+    if least is None or present is None:
         return CheckVerdict("", unseen=f"{version} and the chart's kubeVersion {wanted!r} cannot be compared")
     says = f"{version}; the chart asks for {wanted}"
-    if (int(present[1]), int(present[2])) >= (int(least[1]), int(least[2])):
+    if present >= least:
         return CheckVerdict(says)
     why = "Helm refuses the chart there, and kinds that it makes are missing"
     problem = Problem(f"Kubernetes {version} is older than {wanted}", "API server", why, "upgrade the control plane")
     return CheckVerdict(says, [problem])
+
+
+def read_version(text: str) -> Version | None:
+    """A version as Kubernetes and Helm write it, with or without `v` and a patch number; None when it is none."""
+    try:
+        return Version.parse(text.removeprefix("v"), optional_minor_and_patch=True)
+    except ValueError:
+        return None
 
 
 def api_kinds(rendering: RenderedChart, settings: Mapping[str, Any], served: Served) -> CheckVerdict:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from robotkube.delivery.preflight.core.findings import CheckVerdict, Problem
+from robotkube.delivery.preflight.core.kinds import read_version
 from robotkube.delivery.preflight.core.renderings import Object, RenderedChart, name_of
 from robotkube.registry.suites.core.pod_security import items, mapping
 
-NUMBERS = re.compile(r"([0-9]+)\.([0-9]+)\.([0-9]+)")
 PENDING = ("pending-install", "pending-upgrade", "pending-rollback", "uninstalling")
 GATE = "gate"
 
@@ -75,8 +74,8 @@ def _state(present: HelmRevision, rendering: RenderedChart) -> Iterator[Problem]
 
 
 def _way(installed: str, own: str) -> Iterator[Problem]:
-    before, after = NUMBERS.match(installed), NUMBERS.match(own)
-    if before and after and tuple(map(int, after.groups())) < tuple(map(int, before.groups())):
+    before, after = read_version(installed), read_version(own)
+    if before is not None and after is not None and after < before:
         why = "only the way forward is tested, and older processes refuse settings of newer ones"
         fix = f"give a chart of {installed} or later with --chart; UPGRADING.md, Back"
         yield Problem(f"version {installed} is installed, this chart is {own}", "Chart.yaml, version", why, fix)
