@@ -32,11 +32,11 @@ SECONDS_MAX = 600
 
 def compare() -> list[Comparison]:
     """The addition to a pod's creation, and how long a new list takes, each against its goal."""
-    found = _measured()
-    judged, free = found["creations_ms"]["with"], found["creations_ms"]["without"]
+    measured = _measured()
+    judged, free = measured["creations_ms"]["with"], measured["creations_ms"]["without"]
     p50 = quantiles(judged).p50 - quantiles(free).p50
     p99 = statistics.median(_p99(a) - _p99(b) for a, b in zip(_rounds(judged), _rounds(free), strict=True))
-    reload_s = found["reload_s"][str(DIGESTS)]
+    reload_s = measured["reload_s"][str(DIGESTS)]
     record(
         RECORD,
         {
@@ -44,9 +44,9 @@ def compare() -> list[Comparison]:
             "pod_without_ms": asdict(quantiles(free)),
             "added_p50_ms": round(p50, 3),
             "added_p99_ms": round(p99, 3),
-            "validation_mean_ms": round(found["validation_mean_ms"], 3),
+            "validation_mean_ms": round(measured["validation_mean_ms"], 3),
             "reload_500_s": round(reload_s, 3),
-            "reload_5000_s": round(found["reload_s"][str(10 * DIGESTS)], 3),
+            "reload_5000_s": round(measured["reload_s"][str(10 * DIGESTS)], 3),
         },
     )
     goal = "the goal"

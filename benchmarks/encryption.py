@@ -66,11 +66,11 @@ def storing(turns: int = STORING_TURNS) -> dict[str, dict[str, float]]:
     }
 
 
-def cost(found: dict[str, dict[str, float]]) -> dict[str, Any]:
+def cost(seconds: dict[str, dict[str, float]]) -> dict[str, Any]:
     """The keys `tls_cost` and `database_tls_cost`."""
-    plain, tls = found["plain"], found["tls"]
+    plain, tls = seconds["plain"], seconds["tls"]
     ratios = {part: round(tls[part] / plain[part], 3) for part in plain}
-    return {"ratio": round(sum(tls.values()) / sum(plain.values()), 3), "ratios": ratios, **found}
+    return {"ratio": round(sum(tls.values()) / sum(plain.values()), 3), "ratios": ratios, **seconds}
 
 
 def compare() -> list[Comparison]:
@@ -83,8 +83,8 @@ def compare() -> list[Comparison]:
     ]
 
 
-def _comparison(name: str, unit: str, found: dict[str, dict[str, float]]) -> Comparison:
-    ours, baseline = (sum(found[word].values()) for word in ("tls", "plain"))
+def _comparison(name: str, unit: str, seconds: dict[str, dict[str, float]]) -> Comparison:
+    ours, baseline = (sum(seconds[word].values()) for word in ("tls", "plain"))
     return Comparison(name, unit, ours, baseline, RATIO_MAX, "the same without TLS")
 
 

@@ -52,5 +52,5 @@ class Attack:
         """The cell of one of PLACES."""
         if place not in PLACES:
             raise KeyError(f"{place!r} is none of {', '.join(PLACES)}")
-        found: Cell | None = getattr(self, place)
-        return found
+        of_place: Cell | None = getattr(self, place)
+        return of_place

@@ -121,8 +121,8 @@ def following(
             done = subprocess.run([*kubectl, *asked], capture_output=True, timeout=EVENTS_SECONDS_MAX, check=True)
         except (subprocess.SubprocessError, OSError):
             return ()
-        found: Sequence[Object] = json.loads(done.stdout)["items"]
-        return found
+        items: Sequence[Object] = json.loads(done.stdout)["items"]
+        return items
 
     lines = ComponentLines(say, events, time.monotonic)
     asked = ["get", "pods", "-A", "-l", PODS, "--watch", "--output-watch-events", "-o", "json"]

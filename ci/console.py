@@ -195,9 +195,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         elif given.what == "develop":
             develop()
         else:
-            found = findings()
-            print("\n".join(found) or "the page's sources are well")
-            return 1 if found else 0
+            problems = findings()
+            print("\n".join(problems) or "the page's sources are well")
+            return 1 if problems else 0
     except SetUpError as error:
         print(error, file=sys.stderr)
         return error.exit_code

@@ -48,10 +48,10 @@ def keep(kubectl: Kubectl) -> None:
 def give_back(kubectl: Kubectl) -> tuple[str, ...]:
     """Write what was kept, and take away what came since; a line for each object that changes. None where nothing was
     kept."""
-    found = kubectl("-n", PLATFORM, "get", "secret", KEPT, "--ignore-not-found", "-o", "json")
-    if not found:
+    secret = kubectl("-n", PLATFORM, "get", "secret", KEPT, "--ignore-not-found", "-o", "json")
+    if not secret:
         return ()
-    before = json.loads(base64.b64decode(json.loads(found)["data"][KEY]))
+    before = json.loads(base64.b64decode(json.loads(secret)["data"][KEY]))
     changes = [(name, patch) for name, patch in patches(before, _present(kubectl)).items() if patch]
     for name, patch in changes:
         kubectl("-n", NAMESPACE, "patch", name, "--type=merge", "-p", json.dumps(patch))
@@ -91,8 +91,8 @@ def _present(kubectl: Kubectl) -> dict[str, Any]:
 
 
 def _one(kubectl: Kubectl, name: str) -> Object:
-    found: Object = _read(kubectl, "-n", NAMESPACE, "get", name, "--ignore-not-found")
-    return found
+    item: Object = _read(kubectl, "-n", NAMESPACE, "get", name, "--ignore-not-found")
+    return item
 
 
 def _read(kubectl: Kubectl, *words: str) -> Any:

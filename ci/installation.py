@@ -107,15 +107,15 @@ class Installer:
 
     def _argocd_is_given(self) -> bool:
         """Whether there is one that was not made here."""
-        found = json.loads(self.kubectl("get", "namespace", ARGOCD, "--ignore-not-found", "-o", "json") or "{}")
-        if not found:
+        namespace = json.loads(self.kubectl("get", "namespace", ARGOCD, "--ignore-not-found", "-o", "json") or "{}")
+        if not namespace:
             return bool(self._definitions_of_argocd())
-        return not self.profile.added.items() <= found["metadata"].get("annotations", {}).items()
+        return not self.profile.added.items() <= namespace["metadata"].get("annotations", {}).items()
 
     def _definitions_of_argocd(self) -> frozenset[str]:
         names = (f"crd/{name}" for name in DEFINITIONS)
-        found = self.kubectl("get", *names, "--ignore-not-found", "-o", "name")
-        return frozenset(line.rpartition("/")[2] for line in found.split())
+        present = self.kubectl("get", *names, "--ignore-not-found", "-o", "name")
+        return frozenset(line.rpartition("/")[2] for line in present.split())
 
     def repo_server_clients(self) -> None:
         """The Secret with the certificate without which Argo CD's repo-server answers nobody; one that is there stays,
@@ -190,8 +190,8 @@ class Installer:
     def console(self) -> ServicePort | None:
         """The console's Service; None where the chart was installed without one."""
         where = "jsonpath={.spec.clusterIP}:{.spec.ports[0].port}"
-        found = self.kubectl("-n", NAMESPACE, "get", "service", "console", "--ignore-not-found", "-o", where)
-        address, _, port = found.strip().rpartition(":")
+        address_and_port = self.kubectl("-n", NAMESPACE, "get", "service", "console", "--ignore-not-found", "-o", where)
+        address, _, port = address_and_port.strip().rpartition(":")
         return ServicePort(NAMESPACE, "console", address, int(port)) if address else None
 
     def bind_claims(self) -> None:

@@ -135,10 +135,10 @@ def authorities(kubeconfig: Path) -> str:
 
     api = client.CoreV1Api(config.new_client_from_config(str(kubeconfig)))
     try:
-        found = api.read_namespaced_config_map(AUTHORITIES, NAMESPACE, _request_timeout=10)
+        config_map = api.read_namespaced_config_map(AUTHORITIES, NAMESPACE, _request_timeout=10)
     except client.ApiException as error:
         raise SetUpError(f"namespace {NAMESPACE}: ConfigMap {AUTHORITIES}: {error.reason}") from error
-    return str((found.data or {}).get("ca.crt", ""))
+    return str((config_map.data or {}).get("ca.crt", ""))
 
 
 def publish_to(

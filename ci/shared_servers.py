@@ -52,7 +52,7 @@ class KeptTogether(LoadFileScheduling):  # type: ignore[misc]
 
     def _assign_work_unit(self, node: WorkerController) -> None:
         servers = {other: self._servers(files) for other, files in self.assigned_work.items()}
-        others = [found for other, found in servers.items() if other is not node]
+        others = [of_other for other, of_other in servers.items() if other is not node]
         waiting = {file: self._servers([file]) for file in self.workqueue}
         chosen = next_of(waiting, servers.get(node, frozenset()), others)
         self.workqueue.move_to_end(chosen, last=False)

@@ -67,8 +67,8 @@ def _block(lines: list[str], block: str, keys: Mapping[str, Any]) -> list[str]:
     if place is None:
         raise SetUpError(f"charts/robotkube/{VALUES}: no key {block}")
     if re.match(rf"{block}: *\{{", lines[place]):
-        found = yaml.safe_load(lines[place])[block] or {}
-        return [*lines[:place], f"{block}: {_flow({**found, **keys})}", *lines[place + 1 :]]
+        written = yaml.safe_load(lines[place])[block] or {}
+        return [*lines[:place], f"{block}: {_flow({**written, **keys})}", *lines[place + 1 :]]
     end = next((n for n in range(place + 1, len(lines)) if re.match(r"\S", lines[n])), len(lines))
     inner = list(lines[place + 1 : end])
     for key, value in keys.items():

@@ -92,9 +92,9 @@ def unknown(node: Node) -> tuple[Unknown, ...]:
     started = [one for one in own if _is_started(one, node)]
     sandboxes = _sandboxes(own, started, node)
     known = {one.id for one in (*started, *sandboxes)}
-    found = [Unknown(one, _elsewhere(one), certain=True) for one in others]
-    found += [Unknown(one, _why(one)) for one in own if one.id not in known]
-    return tuple(sorted(found, key=lambda one: one.container.key))
+    strangers = [Unknown(one, _elsewhere(one), certain=True) for one in others]
+    strangers += [Unknown(one, _why(one)) for one in own if one.id not in known]
+    return tuple(sorted(strangers, key=lambda one: one.container.key))
 
 
 def _is_started(one: Container, node: Node) -> bool:

@@ -74,11 +74,11 @@ def _signature(repository: Path) -> Signature:
     """What changes when a reference does: a file is replaced, never written in place. UnavailableError without it."""
     if not (repository / "HEAD").is_file():
         raise UnavailableError(f"{repository}: the forge has no catalogue yet")
-    found = []
+    seen = []
     for name in REFERENCES:
         try:
             status = (repository / name).stat()
-            found.append((status.st_ino, status.st_mtime_ns, status.st_size))
+            seen.append((status.st_ino, status.st_mtime_ns, status.st_size))
         except FileNotFoundError:
-            found.append((0, 0, 0))
-    return tuple(found)
+            seen.append((0, 0, 0))
+    return tuple(seen)

@@ -188,8 +188,8 @@ class ClusterObjects:
         self._api = api
         self._complaints: set[str] = set()
         self._pods = watch(PODS, known_pod)
-        labels = watch(NAMESPACES, lambda found: found["metadata"].get("labels") or {})
-        self._others = (watch(POLICIES, lambda found: found["spec"]), labels)
+        labels = watch(NAMESPACES, lambda item: item["metadata"].get("labels") or {})
+        self._others = (watch(POLICIES, lambda item: item["spec"]), labels)
 
     def start(self) -> None:
         """Begin to watch."""

@@ -134,8 +134,8 @@ def _closest(base: Path, images: Iterable[Image], maker: str) -> Path | None:
         record = json.loads(path.read_text(encoding="utf-8"))
         if record["maker"] == maker:
             shared[path.parent] = len(wanted.intersection(record["references"]))
-    found = max(shared, key=lambda root: shared[root], default=None)
-    return found if found and shared[found] else None
+    closest = max(shared, key=lambda root: shared[root], default=None)
+    return closest if closest and shared[closest] else None
 
 
 def _copy(root: Path, target: Path) -> None:

@@ -67,10 +67,10 @@ class NodeContainers:
     def _read(self) -> Node:
         """What runs is read first: what the kubelet wrote down of it is there by then."""
         seen = [one for place in RUNNING for one in _running(self._folder / place)]
-        found = {one: self._known.get(one) or _container(one) for one in seen}
-        self._known = {one: container for one, container in found.items() if _is_settled(container)}
+        containers = {one: self._known.get(one) or _container(one) for one in seen}
+        self._known = {one: container for one, container in containers.items() if _is_settled(container)}
         return Node(
-            tuple(found.values()),
+            tuple(containers.values()),
             links=dict(_links(self._folder / LINKS)),
             pods=frozenset(_names(self._folder / PODS)),
             recorded=frozenset(_names(self._folder / RECORDED)),

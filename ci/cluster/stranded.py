@@ -46,13 +46,13 @@ def stranded_now(folders: ClusterFolders, topology: Topology, images: Sequence[I
 def report(api: Reader, folders: ClusterFolders, topology: Topology, images: Sequence[Image]) -> Report:
     """The same, as `api` sees the cluster."""
     with tempfile.TemporaryDirectory() as scratch:
-        found = _listing(api, Path(scratch))
+        listed = _listing(api, Path(scratch))
     try:
-        allowed = found.with_platform(digests_of(image.reference for image in images))
+        allowed = listed.with_platform(digests_of(image.reference for image in images))
     except RobotKubeError as error:
         raise InputError(f"images of the platform: {error}") from error
     result = stranded(_objects(api), admission.domain_of(admission.agents_of(topology), folders), allowed)
-    return Report(result, (*found.problems, *map(str, result), counted(result, allowed)))
+    return Report(result, (*listed.problems, *map(str, result), counted(result, allowed)))
 
 
 def _listing(api: Reader, scratch: Path) -> AllowedVersions:

@@ -15,5 +15,5 @@ PROGRAMS = (Program("kind", MODULE, MODULE, {"kind": ("version",)}, folder=FOLDE
 
 def ensure() -> Path:
     """The program; raises SetUpError when it is not on PATH and cannot be built."""
-    found = shutil.which("kind")
-    return Path(found) if found else Kept("kind", FOLDER, MODULE, PROGRAMS).ensure() / "kind"
+    program = shutil.which("kind")
+    return Path(program) if program else Kept("kind", FOLDER, MODULE, PROGRAMS).ensure() / "kind"

@@ -30,15 +30,15 @@ class CoverageHole:
 def coverage_holes(scenario: Scenario) -> tuple[CoverageHole, ...]:
     """Every hole of a run in the order of time, those of one agent that overlap as one. ScenarioError for a hole that
     no run would show."""
-    found = {agent: list(_holes(scenario, agent)) for agent in scenario.network}
+    holes_of = {agent: list(_holes(scenario, agent)) for agent in scenario.network}
     for place in {hole for cable in scenario.network.values() for hole in cable.holes if isinstance(hole, PlaceHole)}:
-        if not any(one == place for holes in found.values() for one, _ in holes):
+        if not any(one == place for holes in holes_of.values() for one, _ in holes):
             raise _problem(
                 scenario,
                 f"nobody who has a hole there comes within {place.radius_m:g} m of ({place.x_m:g}, {place.y_m:g}); "
                 "name a place on their way",
             )
-    return tuple(sorted(one for agent in found for one in _joined(agent, [hole for _, hole in found[agent]])))
+    return tuple(sorted(one for agent in holes_of for one in _joined(agent, [hole for _, hole in holes_of[agent]])))
 
 
 def _problem(scenario: Scenario, text: str) -> ScenarioError:
@@ -77,12 +77,12 @@ def _at_place(scenario: Scenario, agent: str, hole: PlaceHole) -> Iterator[TimeH
 
 
 def _joined(agent: str, holes: Sequence[TimeHole]) -> list[CoverageHole]:
-    found: list[CoverageHole] = []
+    joined: list[CoverageHole] = []
     for hole in sorted(holes, key=lambda one: one.at_seconds):
-        last = found[-1] if found else None
+        last = joined[-1] if joined else None
         if last is None or hole.at_seconds > last.at_seconds + last.seconds:
-            found.append(CoverageHole(hole.at_seconds, hole.seconds, agent))
+            joined.append(CoverageHole(hole.at_seconds, hole.seconds, agent))
         else:
             end = max(last.at_seconds + last.seconds, hole.at_seconds + hole.seconds)
-            found[-1] = CoverageHole(last.at_seconds, end - last.at_seconds, agent)
-    return found
+            joined[-1] = CoverageHole(last.at_seconds, end - last.at_seconds, agent)
+    return joined

@@ -138,14 +138,14 @@ def lines(cables: Sequence[NetworkOfRun]) -> list[str]:
 
 def _lines(cable: NetworkOfRun) -> list[str]:
     asked = ", ".join(f"{key} {value:g}" for key, value in cable.asked.items()) or "holes alone"
-    found = f"network of {cable.agent}: asked {asked}; measured {measured_words(cable.measured)}"
+    summary = f"network of {cable.agent}: asked {asked}; measured {measured_words(cable.measured)}"
     carried = [
         f"  {direction}: {one.packets} packets, {one.lost} lost, {one.in_holes} in holes, queue full for "
         f"{one.queue_full}"
         for direction, one in cable.traffic.items()
     ]
     opened = [f"  hole asked at {hole.at_seconds:g} s for {hole.seconds:g} s: {_begun(hole)}" for hole in cable.holes]
-    return [found, *carried, *(opened if cable.traffic else ()), *(f"  {text}" for text in cable.acts)]
+    return [summary, *carried, *(opened if cable.traffic else ()), *(f"  {text}" for text in cable.acts)]
 
 
 def _begun(hole: HoleDone) -> str:

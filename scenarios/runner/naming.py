@@ -68,7 +68,7 @@ def named_but_present(encounters: Sequence[Encounter]) -> int | None:
 
 
 def _total(encounters: Sequence[Encounter], count: Callable[[TopicNaming], int]) -> int | None:
-    found = [naming(encounter) for encounter in encounters]
-    if not found or None in found:
+    of_encounters = [naming(encounter) for encounter in encounters]
+    if not of_encounters or None in of_encounters:
         return None
-    return sum(count(one) for topics in found for one in topics or ())
+    return sum(count(one) for topics in of_encounters for one in topics or ())

@@ -38,14 +38,14 @@ def nodes_by_name(scenario: Scenario, provider: Provider) -> Mapping[str, str]:
     for node in provider.nodes():
         if node.ready:
             ready[_owner(node)].append(node)
-    found = {wanted.name: _taken(wanted.name, ready[_owner(wanted)]) for wanted in scenario.nodes}
-    missing = [name for name, node in found.items() if not node]
+    nodes = {wanted.name: _taken(wanted.name, ready[_owner(wanted)]) for wanted in scenario.nodes}
+    missing = [name for name, node in nodes.items() if not node]
     if missing:
         raise RunError(
             f"cluster {provider.name} has no ready node {', '.join(missing)}; start it with the same --set "
             "vehicles=..., or give the run the number of vehicles that the cluster has"
         )
-    return found
+    return nodes
 
 
 def _owner(node: NodeState | Node) -> str:

@@ -44,9 +44,9 @@ def _problems(cable: NetworkOfRun) -> Iterator[str]:
 def _rates(cable: NetworkOfRun) -> Iterator[str]:
     for key in ("up_mbit", "down_mbit"):
         asked = cable.asked.get(key)
-        found = getattr(cable.measured, key) if cable.measured else None
-        if asked and (found is None or not RATE_SHARE_MIN <= found / asked <= RATE_SHARE_MAX):
-            shown = "nothing" if found is None else f"{found:.1f}"
+        rate = getattr(cable.measured, key) if cable.measured else None
+        if asked and (rate is None or not RATE_SHARE_MIN <= rate / asked <= RATE_SHARE_MAX):
+            shown = "nothing" if rate is None else f"{rate:.1f}"
             yield f"{key} {asked:g} was asked for, {shown} was measured"
 
 

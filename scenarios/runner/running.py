@@ -194,10 +194,10 @@ def _run(
 
 def lacking(provider: Provider, progress: Callable[[str], None]) -> list[str]:
     """What this kind of cluster cannot give: said before the run, and the first warnings of its report."""
-    found = [f"a cluster of kind {provider.kind}: {text}" for text in provider.lacks]
-    for text in found:
+    lacks = [f"a cluster of kind {provider.kind}: {text}" for text in provider.lacks]
+    for text in lacks:
         progress(f"warning: {text}")
-    return found
+    return lacks
 
 
 def _fetched(deployment: Deployment) -> Mapping[str, Any]:

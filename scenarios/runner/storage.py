@@ -39,13 +39,13 @@ def stored(samples: Iterable[Document], index: Iterable[Document], find_segment:
 
 def gaps(audits: Iterable[Document]) -> tuple[AuditGap, ...]:
     """What the documents of `audits` name as missing; what two writers were told by the same bridge, once."""
-    found = (
+    reported = (
         AuditGap(str(audit["recording"]), str(audit["topic"]), one["where"], one["why"], one["count"], one["first"],
                  one["last"])
         for audit in audits
         for one in audit["gaps"]
     )  # fmt: skip
-    return tuple(dict.fromkeys(found))
+    return tuple(dict.fromkeys(reported))
 
 
 def ledger(lines: Iterable[Mapping[str, Any]]) -> tuple[LedgerLine, ...]:

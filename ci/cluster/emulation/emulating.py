@@ -68,9 +68,9 @@ class NetworkEmulation:
     def check(self, wanted: Mapping[str, NetworkConditions]) -> None:
         """See NetworkEmulator.check; nothing is changed."""
         self._placed(wanted)
-        found = problems(wanted, can)
-        if found:
-            raise SetUpError("\n".join(found))
+        unmet = problems(wanted, can)
+        if unmet:
+            raise SetUpError("\n".join(unmet))
 
     def apply(self, wanted: Mapping[str, NetworkConditions]) -> Mapping[str, tuple[str, ...]]:
         """See NetworkEmulator.apply."""
@@ -267,12 +267,12 @@ def problems(wanted: Mapping[str, NetworkConditions], able: Callable[[str], bool
     rated = sorted(agent for agent, one in wanted.items() if one.up_mbit or one.down_mbit)
     lossy = sorted(agent for agent, one in wanted.items() if one.loss_percent)
     delayed = any(one.round_trip_ms for one in wanted.values())
-    found = []
+    lacking = []
     if rated and not able("tbf") and not (delayed and able("netem")):
-        found.append(_lacking("tbf", "sch_tbf", "rate", rated, "up_mbit and down_mbit"))
+        lacking.append(_lacking("tbf", "sch_tbf", "rate", rated, "up_mbit and down_mbit"))
     if lossy and not able("numgen"):
-        found.append(_lacking("numgen of nftables", "nft_numgen", "loss", lossy, "loss_percent"))
-    return found
+        lacking.append(_lacking("numgen of nftables", "nft_numgen", "loss", lossy, "loss_percent"))
+    return lacking
 
 
 def _lacking(what: str, module: str, condition: str, agents: Sequence[str], keys: str) -> str:

@@ -92,13 +92,13 @@ def frames_of(end: str) -> socket.socket:
 
 def directions(cables: Sequence[Mapping[str, Any]]) -> list[Direction]:
     """Both directions of every cable."""
-    found = []
+    both_ways = []
     for cable in cables:
         near, far = frames_of(cable["near"]), frames_of(cable["far"])
         for source, target in ((near, far), (far, near)):
             delay = VaryingDelay(cable["delay_ms"] / 1000, cable["jitter_ms"] / 1000, random.random)
-            found.append(Direction(source, target, DelayedQueue(delay, WAITING_BYTES_MAX)))
-    return found
+            both_ways.append(Direction(source, target, DelayedQueue(delay, WAITING_BYTES_MAX)))
+    return both_ways
 
 
 def turn(by_source: Mapping[socket.socket, Direction], seconds: float) -> None:

@@ -99,10 +99,10 @@ def _added(node: GivenNode, wanted: Mapping[str, str]) -> Change | None:
     do."""
     before = node.added
     for key, value in wanted.items():
-        found = node.labels.get(key)
-        if found not in (None, value) and before.get(key) != found:
+        present = node.labels.get(key)
+        if present not in (None, value) and before.get(key) != present:
             raise InputError(
-                f"Node {node.name}: has label {key}={found}, which was not added here; {value} is wanted: change "
+                f"Node {node.name}: has label {key}={present}, which was not added here; {value} is wanted: change "
                 "agents.yaml, or take the label away"
             )
     theirs = {key for key in wanted if key in node.labels and node.labels[key] != before.get(key)}

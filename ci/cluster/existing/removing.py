@@ -52,8 +52,8 @@ def remove(installer: Installer, added: Mapping[str, str]) -> tuple[str, ...]:
 def goes(installer: Installer, added: Mapping[str, str]) -> str:
     """The sentence that names the namespaces that `remove` would take away, and the volume claims that go with them."""
     namespaces = _namespaces(installer, _kept_by_helm(installer), added)
-    found = json.loads(installer.kubectl("get", "persistentvolumeclaims", "-A", "-o", "json"))["items"]
-    places = ((one["metadata"]["namespace"], one["metadata"]["name"]) for one in found)
+    volume_claims = json.loads(installer.kubectl("get", "persistentvolumeclaims", "-A", "-o", "json"))["items"]
+    places = ((one["metadata"]["namespace"], one["metadata"]["name"]) for one in volume_claims)
     claims = [f"{namespace}/{name}" for namespace, name in places if namespace in namespaces]
     lost = f", and what is in volume claims {', '.join(claims)}" if claims else ""
     return f"what was installed goes, with namespaces {', '.join(namespaces)}{lost}"
@@ -80,8 +80,8 @@ def _release(installer: Installer) -> Iterator[str]:
 def _kept_by_helm(installer: Installer) -> list[Object]:
     """Objects of the release that Helm leaves."""
     words = ("get", ",".join(KEPT_KINDS), "-A", "-l", MANAGED, "-o", "json", "--ignore-not-found")
-    found = json.loads(installer.kubectl(*words, seconds=ANSWER_SECONDS_MAX) or '{"items": []}')["items"]
-    return [one for one in found if HELMS_OWN.items() <= one["metadata"].get("annotations", {}).items()]
+    managed = json.loads(installer.kubectl(*words, seconds=ANSWER_SECONDS_MAX) or '{"items": []}')["items"]
+    return [one for one in managed if HELMS_OWN.items() <= one["metadata"].get("annotations", {}).items()]
 
 
 def _named(objects: Sequence[Object], kind: str) -> list[str]:
@@ -90,15 +90,17 @@ def _named(objects: Sequence[Object], kind: str) -> list[str]:
 
 def _with(installer: Installer, annotations: Mapping[str, str]) -> list[str]:
     """Namespaces that have these annotations."""
-    found = json.loads(installer.kubectl("get", "namespaces", "-o", "json"))["items"]
-    chosen = (one["metadata"] for one in found if annotations.items() <= one["metadata"].get("annotations", {}).items())
+    namespaces = json.loads(installer.kubectl("get", "namespaces", "-o", "json"))["items"]
+    chosen = (
+        one["metadata"] for one in namespaces if annotations.items() <= one["metadata"].get("annotations", {}).items()
+    )
     return [str(one["name"]) for one in chosen]
 
 
 def _outside(objects: Sequence[Object], namespaces: Sequence[str]) -> list[tuple[str, str, str]]:
     """Kind, name and namespace of what does not go with one of these namespaces."""
-    found = ((one["kind"], one["metadata"]["name"], one["metadata"].get("namespace", "")) for one in objects)
-    return [one for one in found if one[0] != NAMESPACES and one[2] not in namespaces]
+    names = ((one["kind"], one["metadata"]["name"], one["metadata"].get("namespace", "")) for one in objects)
+    return [one for one in names if one[0] != NAMESPACES and one[2] not in namespaces]
 
 
 def _wait_gone(installer: Installer, going: Sequence[tuple[str, str, str]]) -> None:

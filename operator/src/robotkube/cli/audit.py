@@ -287,17 +287,17 @@ def _tried(document: Mapping[str, Any], digest: Callable[[str], str]) -> list[Ma
 
 def _findings(document: Mapping[str, Any]) -> list[str]:
     """The findings, those about the subject first and marked with a star."""
-    found = sorted(document["findings"], key=lambda one: not one["concerns"])
-    parts = [f"findings: {len(found)}"]
-    for one in found[:FINDINGS_SHOWN_MAX]:
+    findings = sorted(document["findings"], key=lambda one: not one["concerns"])
+    parts = [f"findings: {len(findings)}"]
+    for one in findings[:FINDINGS_SHOWN_MAX]:
         star = "*" if one["concerns"] else " "
         parts += [
             f"{star} {one['finding']} ({one['place']}, {one['where']})",
             f"    {one['what']}",
             f"    {one['means']}",
         ]
-    if len(found) > FINDINGS_SHOWN_MAX:
-        parts.append(f"  and {len(found) - FINDINGS_SHOWN_MAX} others; all of them: --output json, or --html FILE")
+    if len(findings) > FINDINGS_SHOWN_MAX:
+        parts.append(f"  and {len(findings) - FINDINGS_SHOWN_MAX} others; all of them: --output json, or --html FILE")
     return [*parts, ""]
 
 

@@ -72,10 +72,10 @@ def sign_change(options: argparse.Namespace) -> Table:
 def _begun(clone: WorkingClone, options: argparse.Namespace) -> EmergencyChange:
     if not options.commit:
         raise InputError(f"{options.file}: is not there; begin it with --commit REVISION")
-    found = clone.change(options.commit)
+    commit = clone.change(options.commit)
     now = datetime.now(UTC).strftime(TIME_FORMAT)
-    reason = options.reason or found.subject
-    change = EmergencyChange(REPOSITORY, found.parent, found.tree, now, reason, {})
+    reason = options.reason or commit.subject
+    change = EmergencyChange(REPOSITORY, commit.parent, commit.tree, now, reason, {})
     return read_change(write_change(change), "the change")  # refuses a reason that cannot be written
 
 

@@ -191,12 +191,12 @@ class Platform:
 
     def _service(self, service: str) -> Mapping[str, Any]:
         try:
-            found = self._read("GET", f"/api/v1/namespaces/{self._namespace}/services/{service}")
+            document = self._read("GET", f"/api/v1/namespaces/{self._namespace}/services/{service}")
         except KeyError as error:
             raise InputError(
                 f"no Service {service} in namespace {self._namespace}; see --platform-namespace"
             ) from error
-        spec: Mapping[str, Any] = found["spec"]
+        spec: Mapping[str, Any] = document["spec"]
         return spec
 
     def forge_account(self, account: str) -> tuple[str, str, str]:
@@ -235,14 +235,14 @@ class Platform:
     def evidence_keys(self) -> Mapping[str, str]:
         """The public keys that this installation trusts, as PEM texts by file name; InputError when it names none."""
         given = self._config_map(EVIDENCE_KEYS)
-        found: dict[str, str] = dict(given.get("data") or {})
+        keys: dict[str, str] = dict(given.get("data") or {})
         made = (given.get("metadata", {}).get("annotations") or {}).get(MADE_KEYS)
         if made:
-            found |= self._config_map(made).get("data") or {}
-        if not found:
+            keys |= self._config_map(made).get("data") or {}
+        if not keys:
             what = f"no public key in ConfigMap {EVIDENCE_KEYS}{f' or {made}' if made else ''}"
             raise InputError(f"{what} of namespace {self._namespace}; give --keys FOLDER")
-        return found
+        return keys
 
     def images(self) -> Mapping[str, str]:
         """The references by digest of the platform's images, by name."""

@@ -106,7 +106,7 @@ def rows(
     """A row for each agent; `nodes` and `leases` are Nodes of agents and the leases of all Nodes, `tokens` say until
     when an agent's machine can join."""
     heard = {one["metadata"]["name"]: str(one.get("spec", {}).get("renewTime") or "") for one in leases}
-    found: list[Document] = []
+    listed: list[Document] = []
     for agent in sorted(agents, key=lambda one: one.name):
         own = [node for node in nodes if node["metadata"]["labels"][AGENT_LABEL] == agent.name]
         seen = max((heard.get(node["metadata"]["name"], "") for node in own), default="")
@@ -116,8 +116,8 @@ def rows(
             **{"seen": seen.partition(".")[0] + "Z" if seen else "", "kubelet": _kubelets(own)},
             **{"releases": list(said.versions.get(agent.namespace, ())), "join_until": tokens.get(agent.name, "")},
         }
-        found.append(row)
-    return found
+        listed.append(row)
+    return listed
 
 
 def _account(said: OfMain, agent: AgentAccount) -> Document:
@@ -140,10 +140,10 @@ def _kubelets(nodes: Iterable[Document]) -> list[str]:
 
 def _versions(releases: Iterable[Release]) -> dict[str, list[str]]:
     """The chart versions of releases, by namespace."""
-    found: dict[str, list[str]] = {}
+    charts: dict[str, list[str]] = {}
     for release in sorted(releases, key=lambda one: one.key):
-        found.setdefault(release.namespace, []).append(f"{release.chart} {release.version}")
-    return {namespace: list(dict.fromkeys(named)) for namespace, named in found.items()}
+        charts.setdefault(release.namespace, []).append(f"{release.chart} {release.version}")
+    return {namespace: list(dict.fromkeys(named)) for namespace, named in charts.items()}
 
 
 def _ready(node: Document) -> bool:

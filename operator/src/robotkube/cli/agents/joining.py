@@ -147,10 +147,10 @@ def join_tokens(platform: Platform) -> Iterable[Mapping[str, Any]]:
 def token_ends(platform: Platform) -> Mapping[str, str]:
     """When the token of each agent ends that has one; empty when tokens may not be read."""
     try:
-        found = join_tokens(platform)
+        tokens = join_tokens(platform)
     except InputError:
         return {}
-    return {_agent(one): base64.b64decode(one["data"]["expiration"]).decode() for one in found}
+    return {_agent(one): base64.b64decode(one["data"]["expiration"]).decode() for one in tokens}
 
 
 def _agent(secret: Mapping[str, Any]) -> str:

@@ -111,29 +111,29 @@ def _warn(sentence: str) -> None:
     print(f"warning: {sentence}", file=sys.stderr)
 
 
-def shown(found: Sequence[ClusterFinding], unreachable: str = "") -> Table:
+def shown(findings: Sequence[ClusterFinding], unreachable: str = "") -> Table:
     """The findings, as people and programs read them."""
-    failed, unknown = (_names(found, result) for result in (FAILED, NOT_CHECKED))
+    failed, unknown = (_names(findings, result) for result in (FAILED, NOT_CHECKED))
     return Table(
         "checks",
         COLUMNS,
-        [one.document for one in found],
-        text="".join(f"{line}\n" for line in _lines(found)),
-        refusal=f"{len(failed)} of {len(found)} checks failed: {', '.join(failed)}" if failed else "",
+        [one.document for one in findings],
+        text="".join(f"{line}\n" for line in _lines(findings)),
+        refusal=f"{len(failed)} of {len(findings)} checks failed: {', '.join(failed)}" if failed else "",
         unreachable=unreachable,
-        reservation=f"{len(unknown)} of {len(found)} checks could not look: {', '.join(unknown)}" if unknown else "",
+        reservation=f"{len(unknown)} of {len(findings)} checks could not look: {', '.join(unknown)}" if unknown else "",
     )
 
 
-def _names(found: Sequence[ClusterFinding], result: str) -> list[str]:
-    return [one.check for one in found if one.result == result]
+def _names(findings: Sequence[ClusterFinding], result: str) -> list[str]:
+    return [one.check for one in findings if one.result == result]
 
 
-def _lines(found: Sequence[ClusterFinding]) -> Iterator[str]:
+def _lines(findings: Sequence[ClusterFinding]) -> Iterator[str]:
     widths = [
-        max(len(text) for text in column) for column in zip(*((one.result, one.check) for one in found), strict=True)
+        max(len(text) for text in column) for column in zip(*((one.result, one.check) for one in findings), strict=True)
     ]
-    for one in found:
+    for one in findings:
         yield f"{one.result.ljust(widths[0])}  {one.check.ljust(widths[1])}  {one.says}"
         for problem in one.problems:
             yield f"    {problem.where}: {problem.what}"

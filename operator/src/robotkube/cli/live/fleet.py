@@ -74,8 +74,8 @@ def look_at_pod(item: Mapping[str, Any]) -> PodLook:
 def look_at_node(item: Mapping[str, Any]) -> NodeLook:
     """A Node of the API server."""
     labels = item["metadata"].get("labels", {})
-    found = [one for one in item.get("status", {}).get("conditions", []) if one.get("type") == "Ready"]
-    ready = found[0] if found else {}
+    conditions = [one for one in item.get("status", {}).get("conditions", []) if one.get("type") == "Ready"]
+    ready = conditions[0] if conditions else {}
     return NodeLook(
         item["metadata"]["name"],
         labels.get(AGENT_LABEL, ""),
@@ -95,8 +95,8 @@ def rows(nodes: Iterable[NodeLook], pods: Iterable[PodLook]) -> list[AgentRow]:
     by_namespace: dict[str, list[PodLook]] = {}
     for pod in pods:
         by_namespace.setdefault(pod.key.partition("/")[0], []).append(pod)
-    found = [_row(agent, of_agent, by_namespace.get(agent, [])) for agent, of_agent in by_agent.items()]
-    return sorted(found, key=lambda row: (row.is_fine, row.agent))
+    agents = [_row(agent, of_agent, by_namespace.get(agent, [])) for agent, of_agent in by_agent.items()]
+    return sorted(agents, key=lambda row: (row.is_fine, row.agent))
 
 
 def _row(agent: str, nodes: list[NodeLook], pods: list[PodLook]) -> AgentRow:

@@ -48,11 +48,11 @@ def listing_arguments(parser: argparse.ArgumentParser) -> None:
 def show_list(options: argparse.Namespace) -> Table:
     """The ConfigMap, or with --stranded what it would strand; InputError when there is no catalogue yet, or more than a
     ConfigMap holds."""
-    found = _listed(options)
-    document = list_object(options.target, found)
-    print(f"robotkube: {len(found.charts)} charts, {len(found.verified)} images", file=sys.stderr)
+    allowed = _listed(options)
+    document = list_object(options.target, allowed)
+    print(f"robotkube: {len(allowed.charts)} charts, {len(allowed.verified)} images", file=sys.stderr)
     if options.stranded:
-        return _stranded(Platform(options), options, found)
+        return _stranded(Platform(options), options, allowed)
     return Table("list", (), [document], single=True)
 
 
@@ -60,15 +60,15 @@ def _listed(options: argparse.Namespace) -> AllowedVersions:
     access = forge_access(options)
     with tempfile.TemporaryDirectory(prefix="robotkube-admission-") as folder:
         clone = GitClone(access.url, CATALOGUE, access.username, access.password, Path(folder))
-        found = CatalogueListing(clone, TrustedKeys(options.keys)).read()
-    if found is None:
+        allowed = CatalogueListing(clone, TrustedKeys(options.keys)).read()
+    if allowed is None:
         raise InputError(f"{CATALOGUE} at {access.url} has no main branch yet: publish a chart first")
-    for problem in found.problems:
+    for problem in allowed.problems:
         print(f"robotkube: {problem}", file=sys.stderr)
-    return found
+    return allowed
 
 
-def _stranded(platform: Platform, options: argparse.Namespace, found: AllowedVersions) -> Table:
+def _stranded(platform: Platform, options: argparse.Namespace, verified: AllowedVersions) -> Table:
     """What of the cluster would be refused if it were made now; refused when there is any."""
     images = {name: reference for name, reference in platform.images().items() if reference}
     if not images:
@@ -77,7 +77,7 @@ def _stranded(platform: Platform, options: argparse.Namespace, found: AllowedVer
     for name in images.keys() - by_digest.keys():
         text = f"images.{name} of the platform's chart: {images[name]!r} names no digest, so nothing of it would start"
         print(f"robotkube: {text}; write <repository>@sha256:<digest>", file=sys.stderr)
-    allowed = found.with_platform(digests_of(by_digest.values()))
+    allowed = verified.with_platform(digests_of(by_digest.values()))
     objects = stranded(_objects(platform), _domain(platform, options), allowed)
     verdict = counted(objects, allowed)
     rows = [asdict(one) for one in objects]

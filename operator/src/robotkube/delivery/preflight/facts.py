@@ -110,13 +110,13 @@ class Preflight:
 
     def _judgement(self, facts: FactReading) -> Judgement:
         settings = facts.needed("settings")
-        found = [
+        problems = [
             (path, without_value(words, settings, path)) for path, words in violations(self.chart.schema, settings)
         ]
         source = "--values" if self.given is not None else "the release that is there"
         if self.given is None and facts.needed("release") is None:
             source = "the chart's defaults, since no --values are given and no release is there"
-        return Judgement(found, "" if found else facts.needed("rendered").refusal, source)
+        return Judgement(problems, "" if problems else facts.needed("rendered").refusal, source)
 
     def _registries(self, facts: FactReading) -> Mapping[str, RegistryAnswer]:
         named = hosts(facts.needed("rendering").objects)
@@ -126,8 +126,8 @@ class Preflight:
         service = service_of(host)
         if service is None:
             return self.registries.ask(host)
-        found = self.cluster.service(*service)
-        if found is None:
+        present = self.cluster.service(*service)
+        if present is None:
             return RegistryAnswer(silent="absent: it is the platform's own, which the chart makes")
         port = host.partition(":")[2] or "80"
-        return self.registries.ask_service(f"{found['spec'].get('clusterIP', '')}:{port}")
+        return self.registries.ask_service(f"{present['spec'].get('clusterIP', '')}:{port}")

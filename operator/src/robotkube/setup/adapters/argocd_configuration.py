@@ -126,9 +126,9 @@ class KubernetesArgoCDConfiguration:
     def rolled_out(self, deployment: str) -> bool:
         """Check that the pods of a Deployment are those it asks for now, and ready: False, UnavailableError before."""
         with self._errors(f"Deployment {deployment}"):
-            found = self._apps.read_namespaced_deployment(deployment, self._namespace, _request_timeout=SECONDS_MAX)
-        asked, status = found.spec.replicas, found.status
-        seen = status.observed_generation == found.metadata.generation
+            read = self._apps.read_namespaced_deployment(deployment, self._namespace, _request_timeout=SECONDS_MAX)
+        asked, status = read.spec.replicas, read.status
+        seen = status.observed_generation == read.metadata.generation
         counted = {status.replicas or 0, status.updated_replicas or 0, status.available_replicas or 0}
         if not seen or counted != {asked}:
             ready = min(status.updated_replicas or 0, status.available_replicas or 0) if seen else 0

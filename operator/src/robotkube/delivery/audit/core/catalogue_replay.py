@@ -171,7 +171,7 @@ def tip_findings(
         touched = [last[one] for one in (path, statement_path(name)) if one in last]
         newest = max(touched, key=lambda commit: places[commit], default=tip)
         yield Finding("application-not-valid", "catalogue", path, application.evidence_problem, newest, (name,))
-    for version in sorted((v for found in catalogue.charts.values() for v in found), key=lambda v: v.reference):
+    for version in sorted((v for of_chart in catalogue.charts.values() for v in of_chart), key=lambda v: v.reference):
         judged = under.get(version.policy, catalogue).version(version.chart, version.version) or version
         if judged.state != "verified" or judged.assured:
             continue

@@ -103,8 +103,8 @@ def replay(
         findings += _apply(commit, state, runs)
         new = Tree({p: state.releases[p] for p in commit.changes if p in state.releases}, {})
         proposal = ProposedCommit(commit.parents, commit.message, commit.changes, commit.irregular, old, new)
-        message, found = _message(commit, proposal, bool(signed_by))
-        findings += found
+        message, of_message = _message(commit, proposal, bool(signed_by))
+        findings += of_message
         findings += _sources(commit, new.releases, state.sources)
         findings += _merge_policy(commit, state)
         changes.append(MainChange(commit, message, changed_releases(proposal), signed_by))
@@ -215,8 +215,8 @@ def _sources(commit: HistoryCommit, changed: Mapping[str, Release], sources: Map
         if source is None:
             yield _finding("source-differs", commit, f"{release.path}: its source {wanted} is missing", release.key)
         elif (source.chart, source.digest) != (release.chart, release.digest):
-            found = f"{source.chart}@{source.digest}"
-            what = f"{release.path} names {release.chart}@{release.digest}, {wanted} leads to {found}"
+            of_source = f"{source.chart}@{source.digest}"
+            what = f"{release.path} names {release.chart}@{release.digest}, {wanted} leads to {of_source}"
             yield _finding("source-differs", commit, what, release.key)
     for path, text in sorted(commit.changes.items()):
         if path in sources and text is not None and sources[path].path != path:

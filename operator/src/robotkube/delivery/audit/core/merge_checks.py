@@ -70,8 +70,8 @@ def check_merges(
     findings: list[Finding] = [*_edits(records, REFERENCE)]
     valid: dict[str, MergeRecord] = {}
     for annotated, statement in sorted(statements.items(), key=lambda item: places.get(item[0], len(places))):
-        record, found = _record(annotated, statement, places)
-        findings += found
+        record, of_record = _record(annotated, statement, places)
+        findings += of_record
         if record is not None:
             valid[annotated] = record
     covered: dict[str, MergeRecord] = {}

@@ -47,8 +47,8 @@ class PolicyRequests:
         place = self._places[commit]
         decided_by = self._decided_by(self._commits[place])
         entries = [*self._initial.at(place), *self._offered.at(self._offered_places.get(decided_by, -1))]
-        found = asking(release.chart, gone, entries, self._catalogue(decided_by), self._offered.applications)
-        return [self._row(entry) for entry in sorted(found, key=lambda one: (one.place, one.says))]
+        asking_entries = asking(release.chart, gone, entries, self._catalogue(decided_by), self._offered.applications)
+        return [self._row(entry) for entry in sorted(asking_entries, key=lambda one: (one.place, one.says))]
 
     def _row(self, entry: PolicyEntry) -> Row:
         return {

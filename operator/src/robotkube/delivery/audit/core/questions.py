@@ -44,11 +44,11 @@ def answer(word: str, known: Known) -> Answered:
     commits: set[str] = set()
     kinds: list[str] = []
     for kind, (matching_run, matching_change) in _readings(word, known).items():
-        found = {place for place, run in enumerate(known.main.runs) if matching_run(run)}
+        matching = {place for place, run in enumerate(known.main.runs) if matching_run(run)}
         named = [change for change in known.main.changes if matching_change(change)]
-        if found or named:
+        if matching or named:
             kinds.append(kind)
-            places |= found
+            places |= matching
             commits |= {change.commit.id for change in named}
     if not kinds:
         raise InputError(

@@ -43,19 +43,19 @@ def verification_row(
         "policy": f"sha256:{_mapping(_mapping(predicate.get('policy')).get('digest')).get('sha256', '')}"
         if predicate
         else "",
-        "suites": [_suite(name, found) for name, found in sorted(statements.items()) if name != SUMMARY],
+        "suites": [_suite(name, outcome) for name, outcome in sorted(statements.items()) if name != SUMMARY],
         "problem": problem,
     }
 
 
 def application_row(
-    name: str, application: Application | None, found: VerifiedStatement | str | None, decided_by: str
+    name: str, application: Application | None, outcome: VerifiedStatement | str | None, decided_by: str
 ) -> Row:
     """One application that tasks asked for: its statement, who signed it, with which charts it had been tried;
-    `problem` says why that does not hold, empty when it does. `found` is the statement that was there, or why it is not
-    believed."""
+    `problem` says why that does not hold, empty when it does. `outcome` is the statement that was there, or why it is
+    not believed."""
     problem = "the catalogue did not have it" if application is None else application.evidence_problem
-    signed = found if isinstance(found, VerifiedStatement) else None
+    signed = outcome if isinstance(outcome, VerifiedStatement) else None
     return {
         "application": name,
         "digest": application.digest if application else "",
@@ -67,10 +67,10 @@ def application_row(
     }
 
 
-def _suite(name: str, found: VerifiedStatement | str) -> Row:
-    if isinstance(found, str):
-        return {"suite": name, "version": "", "result": "NOT BELIEVED", "passed": [], "failed": [], "problem": found}
-    predicate = _mapping(found.statement.get("predicate"))
+def _suite(name: str, outcome: VerifiedStatement | str) -> Row:
+    if isinstance(outcome, str):
+        return {"suite": name, "version": "", "result": "NOT BELIEVED", "passed": [], "failed": [], "problem": outcome}
+    predicate = _mapping(outcome.statement.get("predicate"))
     configuration = predicate.get("configuration")
     version = ""
     for item in configuration if isinstance(configuration, list) else []:

@@ -107,11 +107,11 @@ class Auditor:
         answered = answer(word, known)
         runs = MainReplay(answered.changes, answered.runs)
         ends = made_good(main.changes, merges.records)
-        found = [*with_ends(main.findings, ends), *merges.findings, *outcomes.findings, *offered.findings]
-        found += self._evidence(main, merges, offered)
-        found += self._tip(offered)
-        found += self._registry(main)
-        kept, accepted = self._since(unique(found), commits, offered)
+        findings = [*with_ends(main.findings, ends), *merges.findings, *outcomes.findings, *offered.findings]
+        findings += self._evidence(main, merges, offered)
+        findings += self._tip(offered)
+        findings += self._registry(main)
+        kept, accepted = self._since(unique(findings), commits, offered)
         scope = report.AuditScope(
             deployment=commits[-1].id,
             deployment_commits=len(commits),
@@ -234,8 +234,8 @@ class Auditor:
                     decided_by = self._decided_by(commits[run.began], merges, offered)
                     known = self._catalogue(decided_by).applications.get(name)
                     text = self._files(decided_by).get(statement_path(name)) if decided_by else None
-                    found = self._verify(text) if text is not None else None
-                    rows[name] = application_row(name, known, found, decided_by)
+                    statement = self._verify(text) if text is not None else None
+                    rows[name] = application_row(name, known, statement, decided_by)
         return [rows[name] for name in sorted(rows)]
 
     def _statements(self, chart: ChartReference, commit: str) -> Mapping[str, VerifiedStatement | str]:
@@ -265,11 +265,11 @@ class Auditor:
             try:
                 if manifests.manifest(repository, digest) is None:
                     yield Finding("chart-missing", "registry", where, "there is no manifest of this digest", "", about)
-                found = manifests.manifest(repository, tag)
+                manifest = manifests.manifest(repository, tag)
             except InputError as error:
                 yield Finding("manifest-differs", "registry", where, str(error), "", about)
                 continue
-            yield from _tag(f"{repository}:{tag}", found, digest, about)
+            yield from _tag(f"{repository}:{tag}", manifest, digest, about)
 
     # -- what the caller knew -------------------------------------------------------------------------------------
 
@@ -296,8 +296,8 @@ class Auditor:
         return [*lost, *kept], len(findings) - len(kept)
 
 
-def _tag(where: str, found: bytes | None, digest: str, about: tuple[str, ...]) -> Iterator[Finding]:
-    if found is None:
+def _tag(where: str, manifest: bytes | None, digest: str, about: tuple[str, ...]) -> Iterator[Finding]:
+    if manifest is None:
         yield Finding("tag-moved", "registry", where, "the tag is gone", "", about)
-    elif sha256(found) != digest:
-        yield Finding("tag-moved", "registry", where, f"it leads to {sha256(found)}, not {digest}", "", about)
+    elif sha256(manifest) != digest:
+        yield Finding("tag-moved", "registry", where, f"it leads to {sha256(manifest)}, not {digest}", "", about)

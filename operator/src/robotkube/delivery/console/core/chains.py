@@ -216,8 +216,8 @@ def _counted(plan: Document, lists: Iterable[str]) -> str:
 
 def _commit_page(pull_request: str, commit: str) -> str:
     """The forge's page of a commit, next to that of a pull request; empty where its form is not known."""
-    repository, found, _ = pull_request.rpartition("/pulls/")
-    return f"{repository}/commit/{commit}" if found else ""
+    repository, separator, _ = pull_request.rpartition("/pulls/")
+    return f"{repository}/commit/{commit}" if separator else ""
 
 
 def _running(releases: Iterable[str], view: View, since_ms: int | None) -> Iterator[Step]:

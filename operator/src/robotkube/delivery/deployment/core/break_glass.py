@@ -103,7 +103,7 @@ def write_change(change: EmergencyChange) -> str:
 
 def read_signers(text: str, path: str = SIGNERS_PATH) -> Mapping[str, tuple[bytes, ...]]:
     """The registered people with their keys; DocumentError names every mistake. Comments say nothing."""
-    found: dict[str, tuple[bytes, ...]] = {}
+    signers: dict[str, tuple[bytes, ...]] = {}
     problems: list[str] = []
     for number, line in enumerate(text.split("\n"), 1):
         words = line.split()
@@ -117,15 +117,15 @@ def read_signers(text: str, path: str = SIGNERS_PATH) -> Mapping[str, tuple[byte
         key = public_key(words[2])
         if key is None:
             problems.append(f"line {number}: no key of type {KEY_TYPE}; copy the second word of the .pub file")
-        elif any(key in keys for keys in found.values()):
+        elif any(key in keys for keys in signers.values()):
             problems.append(f"line {number}: this key stands there already; each person signs with keys of their own")
         else:
-            found[words[0]] = (*found.get(words[0], ()), key)
-    if not problems and len(found) == 1:
+            signers[words[0]] = (*signers.get(words[0], ()), key)
+    if not problems and len(signers) == 1:
         problems.append(f"names one person; name {PEOPLE_MIN} or more, or nobody, which switches break-glass off")
     if problems:
         raise DocumentError(path, problems)
-    return found
+    return signers
 
 
 def read_accepted(text: str, path: str = ACCEPTED_PATH) -> frozenset[str]:
@@ -187,12 +187,12 @@ def _string(data: bytes) -> bytes:
 
 def _read_strings(data: bytes) -> list[bytes]:
     """Strings with their length before them, to the end; ValueError when one is cut off."""
-    found: list[bytes] = []
+    strings: list[bytes] = []
     at = 0
     while at < len(data):
         size = struct.unpack_from(">I", data, at)[0] if at + 4 <= len(data) else len(data)
         if at + 4 + size > len(data):
             raise ValueError("cut off")
-        found.append(data[at + 4 : at + 4 + size])
+        strings.append(data[at + 4 : at + 4 + size])
         at += 4 + size
-    return found
+    return strings

@@ -182,14 +182,14 @@ class UncheckedWatch:
         """Those of the open commits that stand, newest first, with the files; a file counts for the newest alone."""
         accepted = self._accepted(tip)
         counted: set[str] = set()
-        found: list[UncheckedCommit] = []
+        commits: list[UncheckedCommit] = []
         unchecked = [commit for commit in reversed(self._open) if self._is_unchecked(commit)]
         for commit in unchecked:
             files = tuple(path for path in self._files(commit) if path not in counted)
             counted.update(files)
             if files and commit not in accepted:
-                found.append(replace(self._judged(commit, unchecked), files=files))
-        return tuple(found)
+                commits.append(replace(self._judged(commit, unchecked), files=files))
+        return tuple(commits)
 
     def _is_unchecked(self, commit: str) -> bool:
         return says_break_glass(self._open[commit]) or self._places[commit] > self._first >= 0

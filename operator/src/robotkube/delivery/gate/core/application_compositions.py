@@ -149,12 +149,12 @@ class ApplicationCompositions:
 
 def releases(tried: Sequence[Tried]) -> Sequence[tuple[Release, Parameters]]:
     """Every different release, with the first parameters that gave it."""
-    found: dict[str, tuple[Release, Parameters]] = {}
+    first_of_each: dict[str, tuple[Release, Parameters]] = {}
     for one in tried:
         for release in one.composition.releases.values():
             same = json.dumps([release.key, release.digest, release.values], sort_keys=True)
-            found.setdefault(same, (release, one.parameters))
-    return list(found.values())
+            first_of_each.setdefault(same, (release, one.parameters))
+    return list(first_of_each.values())
 
 
 def _wrong(tried: Sequence[Tried]) -> Sequence[Tried]:

@@ -45,16 +45,16 @@ def sampled_parameters(application: Application, validate: Validate) -> Sequence
     """Sets of parameters that the application's schema accepts: what is required, everything, each value of each
     parameter, and combinations that the document's digest draws. None when no guess was accepted."""
     sampler = Sampler(application.parameters, validate)
-    found: list[Parameters] = list(sampler.objects())
+    samples: list[Parameters] = list(sampler.objects())
     for number in range(COMBINATIONS) if len(sampler.properties) > 1 else ():
         drawn = {
             name: values[_drawn(application.digest, number, name) % len(values)]
             for name, values in sampler.properties.items()
             if values
         }
-        if drawn not in found and not validate(application.parameters, drawn):
-            found.append(drawn)
-    return found
+        if drawn not in samples and not validate(application.parameters, drawn):
+            samples.append(drawn)
+    return samples
 
 
 def _drawn(digest: str, number: int, name: str) -> int:

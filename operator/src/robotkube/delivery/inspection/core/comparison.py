@@ -33,12 +33,12 @@ EMPTY: tuple[Any, ...] = (None, "", 0, False, [], {})
 def differences(live: Object, rendered: Object) -> tuple[str, ...]:
     """What of a workload its chart does not explain, and what of the chart it has not: the first DIFFERENCES_MAX, a
     few words each. Status, owners and what the API server keeps for itself are not compared."""
-    found: list[str] = []
+    differing: list[str] = []
     for part in ("labels", "annotations"):
         place = f"metadata.{part}"
-        found += _compared(_metadata(live, part), _metadata(rendered, part), place, place)
-    found += _compared(live.get("spec"), rendered.get("spec"), "spec", "spec")
-    return tuple(found[:DIFFERENCES_MAX])
+        differing += _compared(_metadata(live, part), _metadata(rendered, part), place, place)
+    differing += _compared(live.get("spec"), rendered.get("spec"), "spec", "spec")
+    return tuple(differing[:DIFFERENCES_MAX])
 
 
 def differing_keys(live: Object, rendered: Object) -> tuple[str, ...]:

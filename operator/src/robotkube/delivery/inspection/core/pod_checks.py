@@ -45,7 +45,7 @@ def strangers_on(
     listed = {pod.uid: pod for pod in pods}
     runs = list(running)
     alive = {pod.uid for pod in runs if pod.containers}
-    found = [
+    strangers = [
         stranger
         for pod in listed.values()
         if not pod.finished or pod.uid in alive
@@ -53,8 +53,8 @@ def strangers_on(
     ]
     for item in runs:
         known = listed[item.uid].names if item.uid in listed else remembered.get(item.uid)
-        found += _of_runtime(item, known)
-    return tuple(sorted(found))
+        strangers += _of_runtime(item, known)
+    return tuple(sorted(strangers))
 
 
 def _of_runtime(item: RuntimePod, known: frozenset[str] | None) -> Iterator[Stranger]:

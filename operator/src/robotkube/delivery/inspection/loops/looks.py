@@ -87,7 +87,7 @@ class ReleaseLooks:
                 self._turn += 1
         except (UnavailableError, InputError) as error:
             return Look(RELEASES, problem=str(error))
-        others = (stranger for found in self._others.values() for stranger in found)
+        others = (stranger for of_namespace in self._others.values() for stranger in of_namespace)
         unknown = [one.unknown for shapes in permitted.releases.values() for one in shapes if one.unknown]
         return Look(RELEASES, tuple(sorted({*strangers, *others})), partly="; ".join(unknown))
 

@@ -42,7 +42,7 @@ class VerifiedImages:
         """The key of each changed release that would run something else than was verified, and what that is."""
         if self._images is None:
             return {}
-        found: dict[str, str] = {}
+        refused: dict[str, str] = {}
         for release in [change.after for change in changes if change.after]:
             version = catalogue.version(release.chart, release.version)
             if version is None or not is_compared(version, catalogue.assurance):
@@ -50,8 +50,8 @@ class VerifiedImages:
             images = self._lookup(release, self._images)
             problems = [images] if isinstance(images, str) else list(coverage_problems(version, images or ()))
             if problems:
-                found[release.key] = "; ".join(problems)
-        return found
+                refused[release.key] = "; ".join(problems)
+        return refused
 
     def _lookup(self, release: Release, images: RenderedImages) -> Sequence[str] | str | None:
         """The images of a release, why it cannot be rendered, or None when that cannot be tried now.

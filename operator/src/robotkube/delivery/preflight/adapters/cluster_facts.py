@@ -80,8 +80,8 @@ class ClusterFacts:
     def judges(self) -> admission.Judges:
         """Webhooks and policies; kinds that the API server has not are nobody's."""
         paths = [f"{ADMISSION_API}/{plural(kind)}" for kind in admission.KINDS]
-        found = at_once([functools.partial(self._items, path, (), ()) for path in paths])
-        return dict(zip(admission.KINDS, found, strict=True))
+        listed = at_once([functools.partial(self._items, path, (), ()) for path in paths])
+        return dict(zip(admission.KINDS, listed, strict=True))
 
     def control_groups(self, nodes: Sequence[Object]) -> Mapping[str, int | Unread]:
         """The version of the control groups of each Node, as its kubelet says through the API server."""
@@ -99,7 +99,7 @@ class ClusterFacts:
         lists = at_once([functools.partial(self._items, path, chosen) for path in paths])
         standing = at_once([functools.partial(self._one, f"{DEFINITIONS_PATH}/{name}") for name in DEFINITIONS])
         there = (name for name, item in zip(DEFINITIONS, standing, strict=True) if item is not None)
-        return ArgoCd(namespace, frozenset(there), [item for found in lists for item in found])
+        return ArgoCd(namespace, frozenset(there), [item for listed in lists for item in listed])
 
     def release(self, name: str, namespace: str) -> HelmRevision | None:
         """The last revision of a Helm release."""
@@ -117,8 +117,8 @@ class ClusterFacts:
 
     def standing(self, objects: Sequence[Object]) -> Mapping[tuple[str, str], Object | None]:
         """What stands under the names of these objects of the whole cluster."""
-        found = at_once([functools.partial(self._one, _path(item)) for item in objects])
-        return {(str(item["kind"]), name_of(item)): there for item, there in zip(objects, found, strict=True)}
+        present = at_once([functools.partial(self._one, _path(item)) for item in objects])
+        return {(str(item["kind"]), name_of(item)): there for item, there in zip(objects, present, strict=True)}
 
     def rights(self, needed: NeededRights) -> Reviewed:
         """Which of these rights the account has not."""
@@ -149,8 +149,8 @@ class ClusterFacts:
         return bool(self._reviewed(may, right))
 
     def _kinds(self, version: str) -> tuple[str, frozenset[str]]:
-        found = self._one(f"/apis/{version}" if "/" in version else f"/api/{version}") or {}
-        return version, frozenset(str(one.get("kind")) for one in found.get("resources") or ())
+        resources = self._one(f"/apis/{version}" if "/" in version else f"/api/{version}") or {}
+        return version, frozenset(str(one.get("kind")) for one in resources.get("resources") or ())
 
     def _control_groups(self, node: str) -> int | Unread:
         try:
@@ -188,10 +188,10 @@ class ClusterFacts:
             return None
 
     def _get(self, path: str) -> Object:
-        found = self._one(path)
-        if found is None:
+        document = self._one(path)
+        if document is None:
             raise InputError(f"absent: the API server has no {path}")
-        return found
+        return document
 
     def _read(self, path: str, query: Query = ()) -> Object:
         try:

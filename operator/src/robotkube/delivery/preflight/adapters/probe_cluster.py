@@ -64,8 +64,8 @@ class KubernetesProbeCluster:
         return False
 
     def _items(self, kind: str) -> Sequence[Object]:
-        found = self._get(f"{self._core}/{kind}", [("limit", str(OBJECTS_MAX))])
-        return list((found or {}).get("items") or ())
+        page = self._get(f"{self._core}/{kind}", [("limit", str(OBJECTS_MAX))])
+        return list((page or {}).get("items") or ())
 
     def _get(self, path: str, query: Sequence[tuple[str, str]] = ()) -> Any:
         try:

@@ -142,5 +142,5 @@ def _stays_open(host: str, port: int, sleep: Callable[[float], object]) -> bool:
 
 
 def _space(path: str) -> DiskSpace:
-    found = os.statvfs(path)
-    return DiskSpace(found.f_bavail * found.f_frsize, found.f_blocks * found.f_frsize)
+    file_system = os.statvfs(path)
+    return DiskSpace(file_system.f_bavail * file_system.f_frsize, file_system.f_blocks * file_system.f_frsize)

@@ -112,8 +112,8 @@ def _problems(missing: frozenset[ApiRight], words: Words) -> Iterator[Problem]:
     places: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
     for (kind, namespace), lacking in sorted(verbs.items()):
         places[kind, ", ".join(sorted(lacking))].append(namespace)
-    for (kind, found), namespaces in places.items():
-        yield words(kind, found, [one for one in namespaces if one])
+    for (kind, missing_verbs), namespaces in places.items():
+        yield words(kind, missing_verbs, [one for one in namespaces if one])
 
 
 def _own(kind: str, verbs: str, namespaces: Sequence[str]) -> Problem:

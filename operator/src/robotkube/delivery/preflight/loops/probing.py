@@ -51,18 +51,18 @@ class Probing:
         if lacking:
             raise InputError(f"nothing was started: the account may not {', '.join(lacking)}")
         begin = self.clock.now()
-        found: Mapping[str, NodeOutcome] | None = None
+        outcomes: Mapping[str, NodeOutcome] | None = None
         left = ""
         try:
             self.cluster.open()
-            found = self._outcomes()
+            outcomes = self._outcomes()
         finally:
             with self.shielded():
                 left = self._close()
-            if left and found is None:
+            if left and outcomes is None:
                 name = self.target.namespace
                 self.say(f"namespace {name}: {left}; kubectl delete namespace {name}")
-        return Probed(self.target, found, self.unasked, left, self.clock.now() - begin)
+        return Probed(self.target, outcomes, self.unasked, left, self.clock.now() - begin)
 
     def _outcomes(self) -> Mapping[str, NodeOutcome]:
         for node in self.nodes:

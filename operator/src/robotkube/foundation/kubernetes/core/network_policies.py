@@ -203,14 +203,14 @@ def _known(value: Any, where: str, *keys: str) -> Mapping[str, Any]:
 
 
 def _rules(spec: Mapping[str, Any], where: str, direction: str, key: str) -> tuple[PolicyRule, ...]:
-    found = []
+    rules = []
     for number, stated in enumerate(spec.get(direction) or ()):
         at = f"{where}: spec.{direction}[{number}]"
         rule = _known(stated, at, key, "ports")
         peers = tuple(_peer(peer, f"{at}.{key}[{i}]") for i, peer in enumerate(rule.get(key) or ()))
         ports = tuple(_port(port, f"{at}.ports[{i}]") for i, port in enumerate(rule.get("ports") or ()))
-        found.append(PolicyRule(peers, ports))
-    return tuple(found)
+        rules.append(PolicyRule(peers, ports))
+    return tuple(rules)
 
 
 def _peer(stated: Any, where: str) -> Peer:
@@ -250,7 +250,7 @@ def read_selector(stated: Any, where: str) -> Selector:
     """The conditions of a selector in Kubernetes form; InputError names key and fix for what is not understood."""
     selector = _known(stated, where, "matchLabels", "matchExpressions")
     labels = (selector.get("matchLabels") or NONE).items()
-    found = [Requirement(key, "In", frozenset([value])) for key, value in labels]
+    requirements = [Requirement(key, "In", frozenset([value])) for key, value in labels]
     for number, one in enumerate(selector.get("matchExpressions") or ()):
         at = f"{where}.matchExpressions[{number}]"
         expression = _known(one, at, "key", "operator", "values")
@@ -259,5 +259,5 @@ def read_selector(stated: Any, where: str) -> Selector:
             raise InputError(f"{at}.operator: {operator!r} must be In, NotIn, Exists or DoesNotExist")
         if bool(values) != (operator in ("In", "NotIn")):
             raise InputError(f"{at}.values: In and NotIn need some, Exists and DoesNotExist take none")
-        found.append(Requirement(str(expression.get("key")), operator, values))
-    return tuple(found)
+        requirements.append(Requirement(str(expression.get("key")), operator, values))
+    return tuple(requirements)

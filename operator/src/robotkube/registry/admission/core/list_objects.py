@@ -26,18 +26,18 @@ LABELS = {
 KEYS_CHARACTERS_MAX = 600_000  # 8,571 images, or some 3,900 charts of one image each
 
 
-def list_object(namespace: str, found: AllowedVersions) -> dict[str, Any]:
+def list_object(namespace: str, allowed: AllowedVersions) -> dict[str, Any]:
     """The ConfigMap LIST. InputError when it would not fit: half a list would let what was verified not start."""
-    data = list_entries(found.charts, found.verified)
+    data = list_entries(allowed.charts, allowed.verified)
     characters = sum(map(len, data))
     if characters > KEYS_CHARACTERS_MAX:
         raise InputError(
-            f"ConfigMap {LIST}: {len(found.charts)} charts and {len(found.verified)} images need {characters} "
+            f"ConfigMap {LIST}: {len(allowed.charts)} charts and {len(allowed.verified)} images need {characters} "
             f"characters, and at most {KEYS_CHARACTERS_MAX} fit: withdraw old versions, or remove their entries"
         )
     metadata: dict[str, Any] = {"name": LIST, "namespace": namespace, "labels": LABELS}
-    if found.commit:
-        metadata["annotations"] = {COMMIT: found.commit}
+    if allowed.commit:
+        metadata["annotations"] = {COMMIT: allowed.commit}
     return {"apiVersion": "v1", "kind": "ConfigMap", "metadata": metadata, "data": data}
 
 
@@ -49,7 +49,7 @@ def read_list(document: Mapping[str, Any]) -> AllowedVersions:
     return AllowedVersions(charts, images, commit=str(annotations.get(COMMIT, "")))
 
 
-def documents_for_api(domain: Domain, found: AllowedVersions) -> list[dict[str, Any]]:
+def documents_for_api(domain: Domain, allowed: AllowedVersions) -> list[dict[str, Any]]:
     """The list, and then the policies and bindings that ask for it."""
     policies = [{**item, "metadata": {**item["metadata"], "labels": LABELS}} for item in for_api(domain)]
-    return [list_object(domain.platform, found), *policies]
+    return [list_object(domain.platform, allowed), *policies]

@@ -59,9 +59,9 @@ def listing(
         if version.state != VERIFIED:
             continue
         statement = statements.get(version.evidence)
-        found = lasting_problems(artefact_of(version), version.evidence, version.entry, statement)
-        if found:
-            problems.append(f"{version.reference} is not listed: {'; '.join(found)}")
+        lasting = lasting_problems(artefact_of(version), version.evidence, version.entry, statement)
+        if lasting:
+            problems.append(f"{version.reference} is not listed: {'; '.join(lasting)}")
         else:
             charts.add(f"{version.chart}@{version.digest}")
             images.update(digests_of(version.image_references))

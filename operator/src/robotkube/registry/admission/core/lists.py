@@ -42,8 +42,8 @@ class Literals:
         variables: list[Variable] = []
         for number, chunk in enumerate(chunks):
             last = number == len(chunks) - 1
-            found = f"{_digest('c')} in {texts(chunk)}" if image else f"c in {texts(chunk)}"
-            condition = f"c.indexOf('@') > 0 && {found}" if image else found
+            contained = f"{_digest('c')} in {texts(chunk)}" if image else f"c in {texts(chunk)}"
+            condition = f"c.indexOf('@') > 0 && {contained}" if image else contained
             target = name if last else f"{name}{number}"
             variables.append({"name": target, "expression": f"variables.{candidates}.filter(c, !({condition}))"})
             candidates = target
@@ -76,8 +76,8 @@ def parameter_keys(prefix: str, words: Iterable[str]) -> dict[str, str]:
 
 def parameter_words(prefix: str, keys: Iterable[str]) -> tuple[str, ...]:
     """The words of which `parameter_keys` made these keys; what it did not make is left out."""
-    found = (PARAMETER_KEY.fullmatch(key) for key in keys)
-    parts = [(key["chart"] or "", key["hex"]) for key in found if key and key["prefix"] == prefix]
+    matches = (PARAMETER_KEY.fullmatch(key) for key in keys)
+    parts = [(key["chart"] or "", key["hex"]) for key in matches if key and key["prefix"] == prefix]
     return tuple(sorted(f"{chart}{AT}{digest}" if chart else f"sha256:{digest}" for chart, digest in parts))
 
 

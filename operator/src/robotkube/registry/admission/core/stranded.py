@@ -42,21 +42,21 @@ class Stranded:
 
 def stranded(objects: Iterable[Object], domain: Domain, allowed: Allowed) -> tuple[Stranded, ...]:
     """Of pods, workloads and Applications those that would be refused if they were made now by who may make them."""
-    found = []
+    refused = []
     for item in objects:
         metadata = item["metadata"]
         place = (str(metadata.get("namespace", "")), str(item["kind"]), str(metadata["name"]))
         reasons = (
             _application(item, domain, allowed) if item["kind"] == "Application" else _workload(item, domain, allowed)
         )
-        found += [Stranded(*place, why) for why in reasons]
-    return tuple(sorted(found))
+        refused += [Stranded(*place, why) for why in reasons]
+    return tuple(sorted(refused))
 
 
-def counted(found: Sequence[Stranded], allowed: Allowed) -> str:
+def counted(objects: Sequence[Stranded], allowed: Allowed) -> str:
     """The verdict in one line."""
     counts = f"{len(allowed.charts)} charts, {len(allowed.verified)} images, {len(allowed.platform)} of the platform"
-    verdict = f"{len(found)} objects would be stranded" if found else "nothing would be stranded"
+    verdict = f"{len(objects)} objects would be stranded" if objects else "nothing would be stranded"
     return f"{verdict} ({counts} listed)"
 
 

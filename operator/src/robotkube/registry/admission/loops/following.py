@@ -127,14 +127,14 @@ Form = Callable[[Surroundings, AllowedVersions], Sequence[Mapping[str, Any]]]
 """What a place gets written for surroundings and a list."""
 
 
-def form_of_files(around: Surroundings, found: AllowedVersions) -> Sequence[Mapping[str, Any]]:
+def form_of_files(around: Surroundings, allowed: AllowedVersions) -> Sequence[Mapping[str, Any]]:
     """Policies with the list in them."""
-    return for_files(around.domain, found.with_platform(around.platform))
+    return for_files(around.domain, allowed.with_platform(around.platform))
 
 
-def form_of_objects(around: Surroundings, found: AllowedVersions) -> Sequence[Mapping[str, Any]]:
+def form_of_objects(around: Surroundings, allowed: AllowedVersions) -> Sequence[Mapping[str, Any]]:
     """Policies, and beside them the list; the platform's images are listed by who installs it."""
-    return documents_for_api(around.domain, found)
+    return documents_for_api(around.domain, allowed)
 
 
 class Following:
@@ -175,23 +175,23 @@ class Following:
         if self._listing is None:
             self._listing = self._memory.load()
         changed = self._write(self._listing)
-        found = self._catalogue.read()
-        if found is None:
+        listed = self._catalogue.read()
+        if listed is None:
             return changed
-        for problem in found.problems:
+        for problem in listed.problems:
             log.warning("admission: %s", problem)
-        self._listing = found
-        changed = self._write(found) or changed
-        self._memory.save(found)
+        self._listing = listed
+        changed = self._write(listed) or changed
+        self._memory.save(listed)
         return changed
 
-    def _write(self, found: AllowedVersions) -> bool:
+    def _write(self, listed: AllowedVersions) -> bool:
         around = self._surroundings()
-        if (around, found) == self._written and self._place.intact():
+        if (around, listed) == self._written and self._place.intact():
             return False
-        changed = self._place.write(self._form(around, found))
-        self._written = (around, found)
+        changed = self._place.write(self._form(around, listed))
+        self._written = (around, listed)
         if changed:
-            counts = (len(found.charts), len(found.verified), len(around.platform))
+            counts = (len(listed.charts), len(listed.verified), len(around.platform))
             log.info("admission policies written charts=%d images=%d platform_images=%d", *counts)
         return changed

@@ -76,13 +76,13 @@ class Oras:
 
 def find_oras() -> str:
     """The program on PATH; InputError says where to get it."""
-    found = shutil.which(PROGRAM)
-    if found is None:
+    program = shutil.which(PROGRAM)
+    if program is None:
         raise InputError(
             f"{PROGRAM} is not on PATH: install it (https://oras.land), or name the one that `make bundle` put beside "
             "the bundle: --oras FILE"
         )
-    return found
+    return program
 
 
 def _is_final(said: str) -> bool:

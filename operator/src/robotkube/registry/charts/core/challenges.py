@@ -29,20 +29,20 @@ def read_challenges(headers: Sequence[str]) -> list[Challenge]:
 
 
 def _of_one(header: str) -> list[Challenge]:
-    found: list[tuple[str, dict[str, str]]] = []
+    challenges: list[tuple[str, dict[str, str]]] = []
     place = 0
     while place < len(header):
         parameter = _PARAMETER.match(header, place)
         scheme = None if parameter else _SCHEME.match(header, place)
-        if parameter and found:
+        if parameter and challenges:
             name, quoted, plain = parameter.groups()
-            found[-1][1][name.lower()] = plain if quoted is None else re.sub(r"\\(.)", r"\1", quoted)
+            challenges[-1][1][name.lower()] = plain if quoted is None else re.sub(r"\\(.)", r"\1", quoted)
         elif scheme:
-            found.append((scheme[1].lower(), {}))
+            challenges.append((scheme[1].lower(), {}))
         else:
             break
         place = (parameter or scheme).end()  # type: ignore[union-attr]
-    return [Challenge(name, parameters) for name, parameters in found]
+    return [Challenge(name, parameters) for name, parameters in challenges]
 
 
 def chosen(challenges: Sequence[Challenge], has_account: bool) -> Challenge | None:

@@ -112,14 +112,14 @@ def _boxes(cluster: Sequence[Point], criteria: ObjectCriteria) -> Iterator[Detec
     if len(cluster) < criteria.points_min or extent > SPLIT_EXTENT_M:
         return
     parts = _seen_apart(cluster) if extent > criteria.width_m + SEEN_GAP_M else [cluster]
-    yield from _whole([found for part in parts for found in _fitted_or_split(part, criteria, SPLIT_CELLS)], criteria)
+    yield from _whole([fit for part in parts for fit in _fitted_or_split(part, criteria, SPLIT_CELLS)], criteria)
 
 
-def _whole(found: Sequence[Fit], criteria: ObjectCriteria) -> Iterator[DetectedObject]:
+def _whole(fits: Sequence[Fit], criteria: ObjectCriteria) -> Iterator[DetectedObject]:
     """The vehicles without those that are pieces of another one: lines of a roof that were taken apart from it lie in
     its box."""
     kept: list[DetectedObject] = []
-    for box, part in sorted(found, key=lambda one: -len(one[1])):
+    for box, part in sorted(fits, key=lambda one: -len(one[1])):
         if not any(_lies_in(other, part, criteria) for other in kept):
             kept.append(box)
             yield box

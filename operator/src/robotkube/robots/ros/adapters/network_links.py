@@ -23,14 +23,14 @@ _REQUEST = struct.Struct("16sH14x")
 def links() -> Mapping[str, int]:
     """The flags of every interface, by name."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asked:
-        found = {}
+        flags_of_each = {}
         for _, name in socket.if_nameindex():
             try:
                 answer = fcntl.ioctl(asked, SIOCGIFFLAGS, _REQUEST.pack(name.encode(), 0))
             except OSError:
                 continue  # gone meanwhile
-            found[name] = _REQUEST.unpack(answer)[1]
-    return found
+            flags_of_each[name] = _REQUEST.unpack(answer)[1]
+    return flags_of_each
 
 
 def awaited(flags: Mapping[str, int]) -> list[str]:

@@ -69,10 +69,10 @@ def peers() -> frozenset[str]:
 def addresses_of(name: str) -> frozenset[str]:
     """The IPv4 addresses behind a name; none when there is no such name, or nobody answers."""
     try:
-        found = socket.getaddrinfo(name, None, socket.AF_INET, socket.SOCK_DGRAM)
+        entries = socket.getaddrinfo(name, None, socket.AF_INET, socket.SOCK_DGRAM)
     except OSError:
         return frozenset()
-    return frozenset(str(entry[4][0]) for entry in found)
+    return frozenset(str(entry[4][0]) for entry in entries)
 
 
 class Announcements:

@@ -76,16 +76,16 @@ def read_questions(text: str) -> ProbeQuestions:
 def read_answer(text: str) -> ProbeAnswer | Unread:
     """The answer in a container's last words. They are another's, so what has not its form is not read."""
     try:
-        found = json.loads(text)
-        disks = {str(name): DiskSpace(int(one["free"]), int(one["total"])) for name, one in found["disks"].items()}
+        answer = json.loads(text)
+        disks = {str(name): DiskSpace(int(one["free"]), int(one["total"])) for name, one in answer["disks"].items()}
         return ProbeAnswer(
-            names={str(name): _words(words) for name, words in found["names"].items()},
-            clock_ahead=float(found["clock_ahead"]),
-            clock_within=float(found["clock_within"]),
-            clock_words=_words(found["clock_words"]),
-            open_words=_words(found["open_words"]),
-            closed=found["closed"] is True,
-            broker_words=_words(found["broker_words"]),
+            names={str(name): _words(words) for name, words in answer["names"].items()},
+            clock_ahead=float(answer["clock_ahead"]),
+            clock_within=float(answer["clock_within"]),
+            clock_words=_words(answer["clock_words"]),
+            open_words=_words(answer["open_words"]),
+            closed=answer["closed"] is True,
+            broker_words=_words(answer["broker_words"]),
             disks=disks,
         )
     except (ValueError, KeyError, TypeError, AttributeError):

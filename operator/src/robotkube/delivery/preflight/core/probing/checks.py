@@ -211,8 +211,8 @@ def _unasked(probed: Probed) -> Iterator[str]:
 def _unknown(probed: Probed, of: Sequence[str] | None = None) -> str:
     """Which Nodes, all or those of a list, gave no answer, and why."""
     silent = {name: node.answer.why for name, node in probed.nodes.items() if isinstance(node.answer, Unread)}
-    found = {**silent, **probed.unasked}
-    chosen = [f"Node {name}: {why}" for name, why in found.items() if of is None or name in of]
+    without_answer = {**silent, **probed.unasked}
+    chosen = [f"Node {name}: {why}" for name, why in without_answer.items() if of is None or name in of]
     return "; ".join(chosen) or ("" if probed.nodes else "there is no Node on which a pod could be started")
 
 

@@ -80,13 +80,13 @@ def _pulled(state: Mapping[str, object], reason: str) -> bool | None:
 
 def last_words(events: Sequence[Object]) -> Mapping[str, str]:
     """The last Event of each pod, a warning before others, as `<reason>: <note>`."""
-    found: dict[str, tuple[bool, str, str]] = {}
+    last: dict[str, tuple[bool, str, str]] = {}
     for event in events:
         about = str(mapping(event.get("involvedObject")).get("name", ""))
         when = str(event.get("lastTimestamp") or event.get("eventTime") or "")
         one = (event.get("type") == "Warning", when, f"{event.get('reason')}: {event.get('message')}")
-        found[about] = max(found.get(about, one), one)
-    return {name: words for name, (_, _, words) in found.items()}
+        last[about] = max(last.get(about, one), one)
+    return {name: words for name, (_, _, words) in last.items()}
 
 
 def ready_nodes(nodes: Sequence[Object], most: int) -> tuple[Sequence[str], Mapping[str, str]]:

@@ -40,15 +40,15 @@ class GitHistory:
 
     def commits(self, previous: Mapping[str, str]) -> Sequence[HistoryCommit]:
         """Main's commits along first parents, or to the `previous` one where that is known, oldest first."""
-        found: list[HistoryCommit] = []
+        newest_first: list[HistoryCommit] = []
         commit = self._clone.tip
         while commit:
-            if len(found) == COMMITS_MAX:
+            if len(newest_first) == COMMITS_MAX:
                 raise InputError(f"{self._where}: main has more than {COMMITS_MAX} commits")
             before = self._before(commit, previous.get(commit, ""))
-            found.append(self._read(commit, before))
+            newest_first.append(self._read(commit, before))
             commit = before
-        return found[::-1]
+        return newest_first[::-1]
 
     def _before(self, commit: str, previous: str) -> str:
         """Where main stood before a commit; empty when it is the first."""
@@ -85,10 +85,10 @@ class GitHistory:
         )
 
     def _commit(self, commit: str) -> pygit2.Commit:
-        found = self._repository.get(commit)
-        if not isinstance(found, pygit2.Commit):
+        git_commit = self._repository.get(commit)
+        if not isinstance(git_commit, pygit2.Commit):
             raise InputError(self._missing(f"commit {commit}"))
-        return found
+        return git_commit
 
     def _missing(self, what: str) -> str:
         """The words for a clone that lacks objects."""
@@ -110,10 +110,10 @@ class GitHistory:
 
     def notes(self, reference: str) -> NoteHistory:
         """The notes below a reference."""
-        found = self._repository.references.get(reference)
-        if found is None:
+        branch = self._repository.references.get(reference)
+        if branch is None:
             return NoteHistory()
-        tip = self._commit(str(found.target))
+        tip = self._commit(str(branch.target))
         return NoteHistory(self._texts(tip.tree, ""), *self._edits(tip))
 
     def _texts(self, tree: pygit2.Tree, prefix: str) -> dict[str, str]:

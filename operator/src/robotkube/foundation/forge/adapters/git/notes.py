@@ -43,8 +43,8 @@ class GitNotes:
     def texts(self, commits: Sequence[str]) -> Mapping[str, str]:
         """The notes that these commits have at the forge, without the newline at their end."""
         self._fetch()
-        found = {commit: self._text(commit) for commit in commits}
-        return {commit: text.removesuffix("\n") for commit, text in found.items() if text is not None}
+        notes = {commit: self._text(commit) for commit in commits}
+        return {commit: text.removesuffix("\n") for commit, text in notes.items() if text is not None}
 
     def _fetch(self) -> None:
         try:
@@ -63,8 +63,8 @@ class GitNotes:
 
     def tip(self, reference: str) -> str:
         """The tip of a reference with notes as it was fetched last; empty when there is none."""
-        found = self._repository.references.get(reference)
-        return str(found.target) if found else ""
+        branch = self._repository.references.get(reference)
+        return str(branch.target) if branch else ""
 
     @writes("git")
     def add(self, texts: Mapping[str, str]) -> None:

@@ -27,11 +27,11 @@ class WorkingClone:
     """The clone in `folder` or above it; InputError when there is none."""
 
     def __init__(self, folder: Path) -> None:
-        found = pygit2.discover_repository(str(folder))
-        if found is None:
+        repository = pygit2.discover_repository(str(folder))
+        if repository is None:
             raise InputError(f"{folder}: is in no clone of a repository; see --repository")
         self._where = str(folder)
-        self._repository = pygit2.Repository(found)
+        self._repository = pygit2.Repository(repository)
 
     def change(self, revision: str) -> LocalChange:
         """The commit that `revision` names."""
@@ -89,12 +89,12 @@ class WorkingClone:
             raise RefusalError("PushRefused", f"{url}: {connection.refusal}\n{connection.output.strip()}")
 
     def _commit(self, identifier: str) -> pygit2.Commit:
-        found = self._repository.get(identifier)
-        return found if isinstance(found, pygit2.Commit) else self._missing(identifier)
+        commit = self._repository.get(identifier)
+        return commit if isinstance(commit, pygit2.Commit) else self._missing(identifier)
 
     def _tree(self, identifier: str) -> pygit2.Tree:
-        found = self._repository.get(identifier)
-        return found if isinstance(found, pygit2.Tree) else self._missing(identifier)
+        tree = self._repository.get(identifier)
+        return tree if isinstance(tree, pygit2.Tree) else self._missing(identifier)
 
     def _missing(self, identifier: str) -> NoReturn:
         problem = "is not here; fetch main and the branch that has the change"
