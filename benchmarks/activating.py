@@ -81,7 +81,7 @@ class Switch:
         time.sleep((RESTING_SECONDS if state == "inactive" else HELD_SECONDS) + random.uniform(0, 0.05))  # noqa: S311
 
     def wait(self, reached: Any, path: str = "/status") -> None:
-        """Until the detector says so."""
+        """Wait until the detector says so."""
         deadline = time.monotonic() + CHANGE_SECONDS_MAX
         while not self._holds(reached, path):
             if time.monotonic() > deadline:
@@ -89,7 +89,7 @@ class Switch:
             time.sleep(POLL_SECONDS)
 
     def receive(self) -> None:
-        """Until messages come."""
+        """Wait until messages come."""
         self.wait(lambda counters: sum(one["received"] for one in counters["topics"].values()) > 0, "/input")
 
     def _holds(self, reached: Any, path: str) -> bool:

@@ -67,7 +67,7 @@ def decisions(project: Path, count: int = DECISIONS) -> GateDecisions:
 
 
 def known(revision: str) -> bool:
-    """Whether the repository has the revision."""
+    """Return whether the repository has the revision."""
     asked = ["git", "-C", str(PROJECT), "cat-file", "-e", f"{revision}^{{commit}}"]
     return subprocess.run(asked, capture_output=True, timeout=SECONDS_MAX, check=False).returncode == 0
 

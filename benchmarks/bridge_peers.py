@@ -51,7 +51,7 @@ class Sink:
         self.messages += 1
 
     def noted(self) -> None:
-        """After a batch."""
+        """Count a batch that has come."""
         self.last = time.monotonic_ns()
         self.first = self.first or self.last
 

@@ -88,7 +88,7 @@ class DataPath:
         self.cloud_bridge = self._bridge(0, "cloud-0", "cloud bridge", self.cloud_namespace)
 
     def connected(self, agent: str) -> bool:
-        """Whether the agent's bridge has been connected."""
+        """Return whether the agent's bridge has been connected."""
         return '"connected"' in (self.folder / agent / f"{BRIDGE}.log").read_text()
 
     def unheard(self) -> dict[str, str]:
@@ -267,8 +267,8 @@ def measure_once(make: Callable[[Path], DataPath]) -> dict[str, Any]:
 
 
 def measure_lossless(make: Callable[[Path], DataPath], what: str) -> dict[str, Any]:
-    """As `measure_once`; SetUpError when messages were lost, since then the numbers say nothing. `what` names the
-    run."""
+    """Measure as `measure_once` does; SetUpError when messages were lost, since then the numbers say nothing. `what`
+    names the run."""
     measured = measure_once(make)
     if measured["received"] != measured["published"]:
         raise SetUpError(f"{what}: {measured['published']} were published, {measured['received']} arrived")

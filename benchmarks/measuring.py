@@ -39,7 +39,7 @@ class Comparison:
 
     @property
     def passed(self) -> bool:
-        """Whether the ratio is within its bound."""
+        """Return whether the ratio is within its bound."""
         return self.ratio <= self.ratio_max
 
 

@@ -133,7 +133,7 @@ class Nodes:
 
     @staticmethod
     def _await_link(pod: str) -> None:
-        """Until the link has its carrier: a ROS node that is made before hears nobody for ever."""
+        """Wait until the link has its carrier: a ROS node that is made before hears nobody for ever."""
         end = time.monotonic() + LINK_SECONDS_MAX
         while " state UP " not in _ip("-n", pod, "-o", "link", "show", "eth0"):
             if time.monotonic() >= end:

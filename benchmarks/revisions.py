@@ -51,7 +51,7 @@ class Difference:
 
     @property
     def worse(self) -> bool:
-        """Whether every round here is beyond every round of the revision by more than noise."""
+        """Return whether every round here is beyond every round of the revision by more than noise."""
         return min(self.ours) > max(self.before) * (1 + NOISE)
 
 

@@ -141,7 +141,7 @@ def _resolved(root: Schema, schema: Schema) -> Schema:
 
 
 def _default(value: Any, schema: Schema) -> str:
-    """As JSON. Of a list whose items have keys the keys' own defaults say it."""
+    """The default as JSON. Of a list whose items have keys the keys' own defaults say it."""
     shown = schema.get("default") if value is None else value
     if isinstance(shown, list) and any(isinstance(item, Mapping) for item in shown):
         return ""

@@ -103,7 +103,7 @@ def _succeeded(pod: Object) -> bool:
 
 
 def _done(pod: Object) -> bool:
-    """Whether nothing more is to come of it: a Job's pod has to end."""
+    """Return whether nothing more is to come of it: a Job's pod has to end."""
     owners = (owner.get("kind") for owner in pod["metadata"].get("ownerReferences", ()))
     return _succeeded(pod) or (pod_ready(pod) and "Job" not in owners)
 

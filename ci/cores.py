@@ -108,7 +108,8 @@ def _may_import(module: str, name: str) -> bool:
 
 
 def _is_pure(module: str, attribute: str) -> bool:
-    """Whether what a module holds under a name is listed, and no other module and none of the refused functions."""
+    """Return whether what a module holds under a name is listed, and no other module and none of the refused
+    functions."""
     if module in PARTS:
         return not attribute or attribute in PARTS[module]
     if not attribute or module.partition(".")[0] == "robotkube":

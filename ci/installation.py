@@ -106,7 +106,7 @@ class Installer:
         return f"{verdict.says}, which was there"
 
     def _argocd_is_given(self) -> bool:
-        """Whether there is one that was not made here."""
+        """Return whether there is one that was not made here."""
         namespace = json.loads(self.kubectl("get", "namespace", ARGOCD, "--ignore-not-found", "-o", "json") or "{}")
         if not namespace:
             return bool(self._definitions_of_argocd())

@@ -132,7 +132,8 @@ def _names_object(root: Schema, schema: Schema) -> bool:
 
 
 def _is_object(schema: Schema) -> bool:
-    """Whether a definition has keys of its own, so that it gets a table; conditions (`required` alone) get none."""
+    """Return whether a definition has keys of its own, so that it gets a table; conditions (`required` alone) get
+    none."""
     return schema.get("type") == "object" and "properties" in schema
 
 

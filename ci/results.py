@@ -79,7 +79,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def _interrupted(*_: object) -> None:
-    """Only the first interrupt counts: terminal, recorder and pytest-xdist each send one, and one is enough to have
+    """Count the first interrupt alone: terminal, recorder and pytest-xdist each send one, and one is enough to have
     the fixtures taken down."""
     signal.signal(signal.SIGINT, lambda *_: None)
     raise KeyboardInterrupt

@@ -31,7 +31,7 @@ class Step:
 
     @property
     def is_done_anew(self) -> bool:
-        """Whether it took what it takes: nothing was cached, or something in it was not."""
+        """Return whether it took what it takes: nothing was cached, or something in it was not."""
         return any(self.inner) if self.inner else not self.note.startswith(CACHED)
 
     def progress(self, text: str) -> None:

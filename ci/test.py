@@ -135,7 +135,8 @@ def files_below(place: str) -> list[str]:
 
 
 def can_have_tests(group: Group, file: Path) -> bool:
-    """Whether a test of the group can be in a file, whose tests have the marks of all, and maybe others named there."""
+    """Return whether a test of the group can be in a file, whose tests have the marks of all, and maybe others named
+    there."""
     text = file.read_text("utf-8")
     of_all = {mark for line in OF_ALL.findall(text) for mark in MARK.findall(line)}
     of_all |= {"platform"} if TOP / PLATFORM in file.parents else set()
@@ -145,7 +146,7 @@ def can_have_tests(group: Group, file: Path) -> bool:
 
 
 def chooses(group: Group, marks: Container[str]) -> bool:
-    """Whether a test with these marks is of the group."""
+    """Return whether a test with these marks is of the group."""
     return _compiled(group.marker).evaluate(lambda name, /, **_: name in marks)
 
 

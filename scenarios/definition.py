@@ -89,7 +89,7 @@ class Bound:
     value: float | bool
 
     def holds(self, measured: float | bool | None) -> bool:
-        """Whether a value is within the bound; a value that could not be measured never is."""
+        """Return whether a value is within the bound; a value that could not be measured never is."""
         if measured is None:
             return False
         if self.kind == "at_least":
@@ -144,7 +144,7 @@ class Scenario:
 
     @property
     def records(self) -> bool:
-        """Whether the story is one of encounters that are recorded."""
+        """Return whether the story is one of encounters that are recorded."""
         return bool(self.story.rule)
 
 

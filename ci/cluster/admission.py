@@ -47,7 +47,8 @@ SETTINGS_KEYS = {"agents", "platform"}
 
 
 def choice(given: str = "") -> str:
-    """Whether admission is enforced: what is `given`, else the environment's ROBOTKUBE_ADMISSION, else from files."""
+    """Return whether admission is enforced: what is `given`, else the environment's ROBOTKUBE_ADMISSION, else from
+    files."""
     word = given or os.environ.get(VARIABLE, "") or FILES
     if word not in CHOICES:
         raise InputError(f"{VARIABLE}: {word!r} must be one of {', '.join(CHOICES)}")

@@ -98,7 +98,7 @@ def unknown(node: Node) -> tuple[Unknown, ...]:
 
 
 def _is_started(one: Container, node: Node) -> bool:
-    """Whether the kubelet started it. A link that is older is of another container, which had this id before."""
+    """Return whether the kubelet started it. A link that is older is of another container, which had this id before."""
     return one.kind == CONTAINER and node.links.get(one.link, -1) >= one.made_ns
 
 
@@ -133,8 +133,8 @@ def _why(one: Container) -> str:
 
 @dataclass(frozen=True)
 class Watched:
-    """Since when each unknown container has been seen in every look, by node and key; seconds of a clock that only
-    grows."""
+    """The time since which each unknown container has been seen in every look, by node and key; seconds of a clock that
+    only grows."""
 
     since: Mapping[tuple[str, str], float] = field(default_factory=dict)
 

@@ -35,7 +35,7 @@ class Report:
     problem: str = ""
 
     def says(self, other: Report | None) -> bool:
-        """Whether the other one says the same, at whatever time."""
+        """Return whether the other one says the same, at whatever time."""
         return other is not None and {**asdict(self), "at": 0} == {**asdict(other), "at": 0}
 
     def write(self, folders: ClusterFolders) -> None:

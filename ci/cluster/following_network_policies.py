@@ -133,7 +133,7 @@ class Following:
 
 
 def _has_new(node: str, links: Links, before: Links | None) -> bool:
-    """Whether a node has new pods: it comes last, so that the others let them in before they may come out."""
+    """Return whether a node has new pods: it comes last, so that the others let them in before they may come out."""
     return bool(links[node] - (before or {}).get(node, frozenset()))
 
 

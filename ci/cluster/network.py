@@ -45,7 +45,7 @@ def run(command: Sequence[str], text: str | None = None) -> str:
 
 
 def filters_bridges(settings: Path = SETTINGS) -> bool:
-    """Whether rules can see what passes a bridge, perhaps once the kernel's module is loaded."""
+    """Return whether rules can see what passes a bridge, perhaps once the kernel's module is loaded."""
     if _sysctl(BRIDGED, settings).exists():
         return True
     trial = ["modprobe", "--dry-run", "--quiet", BRIDGE_MODULE]

@@ -57,7 +57,7 @@ class Report:
 
 
 def choice() -> str:
-    """Whether policies are enforced: what the environment's ROBOTKUBE_NETWORK_POLICIES says, else on."""
+    """Return whether policies are enforced: what the environment's ROBOTKUBE_NETWORK_POLICIES says, else on."""
     word = os.environ.get(VARIABLE, "") or ON
     if word not in CHOICES:
         raise InputError(f"{VARIABLE}: {word!r} must be one of {', '.join(CHOICES)}")
@@ -80,7 +80,7 @@ def rules(enforced: str) -> list[str]:
 
 
 def followed(folders: ClusterFolders) -> bool:
-    """Whether the cluster was started with policies enforced."""
+    """Return whether the cluster was started with policies enforced."""
     return any(process.name == PROCESS for process in recorded(folders))
 
 
@@ -111,7 +111,8 @@ def holders(folders: ClusterFolders) -> dict[str, Process]:
 
 
 def status(folders: ClusterFolders, now: float | None = None) -> str:
-    """Whether policies are enforced, in a sentence for people: asked of each node's rules, not of what was wished."""
+    """Return whether policies are enforced, in a sentence for people: asked of each node's rules, not of what was
+    wished."""
     nodes = holders(folders)
     without = [name for name, holder in sorted(nodes.items()) if not _has_rules(holder)]
     if not followed(folders):

@@ -78,12 +78,12 @@ class NodeContainers:
 
 
 def _is_settled(one: Container) -> bool:
-    """Whether it needs not be read again: it runs, and its file was there as a whole."""
+    """Return whether it needs not be read again: it runs, and its file was there as a whole."""
     return bool(one.kind or one.program) and one.started
 
 
 def _changed_ns(place: str) -> int:
-    """When a folder changed last; 0 as long as there is none."""
+    """The time at which a folder changed last; 0 as long as there is none."""
     try:
         return os.stat(place).st_mtime_ns  # noqa: PTH116 - a hundred of them in each look
     except FileNotFoundError:
@@ -99,7 +99,7 @@ def _running(place: Path) -> Iterator[Seen]:
 
 
 def _made_ns(folder: Path) -> int:
-    """When a container's files were made; 0 as long as they are not."""
+    """The time at which a container's files were made; 0 as long as they are not."""
     try:
         return (folder / SPECIFICATION).stat().st_ctime_ns
     except FileNotFoundError:

@@ -34,7 +34,7 @@ class BuiltImage:
 
 
 def is_built(place: Path) -> bool:
-    """Whether the folder holds a finished image."""
+    """Return whether the folder holds a finished image."""
     return (place / RECORD).is_file()
 
 

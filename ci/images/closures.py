@@ -64,7 +64,7 @@ def _running(tree: ast.AST) -> Iterator[ast.AST]:
 
 
 def _is_checked(test: ast.expr) -> bool:
-    """Whether a condition holds for type checkers alone."""
+    """Return whether a condition holds for type checkers alone."""
     return (test.attr if isinstance(test, ast.Attribute) else getattr(test, "id", "")) == "TYPE_CHECKING"
 
 

@@ -68,7 +68,7 @@ class Recorder:
 
     @property
     def ended(self) -> bool:
-        """Whether the value has come to the end of its route."""
+        """Return whether the value has come to the end of its route."""
         return name_of(self._route.end) in self.reached
 
     @property
@@ -193,7 +193,7 @@ def _stack(frame: FrameType | None) -> Iterator[FrameType]:
 
 
 def _is_below_stand_in(frame: FrameType | None) -> bool:
-    """Whether a stand-in for tests is under way: what it calls of the platform is its own affair."""
+    """Return whether a stand-in for tests is under way: what it calls of the platform is its own affair."""
     return any(_kind(at.f_code) == STAND_IN for at in _stack(frame))
 
 

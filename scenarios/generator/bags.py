@@ -171,7 +171,7 @@ def _mount(parameters: Parameters, number: int) -> scene.Mount:
 
 
 def _within(own: scene.Place, other: scene.Place) -> bool:
-    """Whether a box can be seen at all: rays end at the ground before SEEN_M."""
+    """Return whether a box can be seen at all: rays end at the ground before SEEN_M."""
     return math.hypot(own.x - other.x, own.y - other.y) < SEEN_M
 
 

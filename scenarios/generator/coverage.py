@@ -1,4 +1,5 @@
-"""When the agents of a scenario are in holes of coverage: those by time as they stand, those by place from the routes.
+"""The times at which agents of a scenario are in holes of coverage: those by time as they stand, those by place from
+the routes.
 
 Times in s since the players' start.
 """

@@ -283,7 +283,7 @@ def _task_line(task: Mapping[str, Any]) -> str:
 
 
 def pod_ready(pod: Any) -> bool:
-    """Whether a pod's condition Ready is true; a pod that has succeeded counts as well."""
+    """Return whether a pod's condition Ready is true; a pod that has succeeded counts as well."""
     conditions = pod.status.conditions or []
     return pod.status.phase == "Succeeded" or any(c.type == "Ready" and c.status == "True" for c in conditions)
 

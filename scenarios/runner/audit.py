@@ -44,7 +44,7 @@ def entries(inputs: RunInputs) -> tuple[Entry, ...]:
 
 
 def complete(inputs: RunInputs, entries: Sequence[Entry]) -> bool | None:
-    """Whether nothing is missing in any commit and every merged plan is a commit of main; None when there is
+    """Return whether nothing is missing in any commit and every merged plan is a commit of main; None when there is
     nothing."""
     if not entries:
         return None

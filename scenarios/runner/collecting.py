@@ -164,7 +164,7 @@ def ledger_file(run: str, topic: str) -> str:
 
 
 def ledger_ended(volumes: Volumes, agent: str, file: str) -> bool:
-    """Whether a ledger has its last line."""
+    """Return whether a ledger has its last line."""
     return b'"end"' in volumes.end_of((agent, VOLUME_CLAIM), file, LAST_LINE_BYTES_MAX).rstrip().rpartition(b"\n")[2]
 
 

@@ -52,7 +52,7 @@ def _entry(released: Sequence[ReleasedChart], summaries: Mapping[str, str]) -> E
 
 
 def complete(inputs: RunInputs) -> bool | None:
-    """Whether every entry has its evidence; None when no release was seen."""
+    """Return whether every entry has its evidence; None when no release was seen."""
     charts = entries(inputs)
     return all(entry.found for entry in charts) if charts else None
 

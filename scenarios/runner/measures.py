@@ -225,7 +225,7 @@ def _after_removal(inputs: RunInputs, topic: str, mine: Sequence[Encounter]) -> 
 
 
 def _listened(inputs: RunInputs) -> bool:
-    """Whether the observer was subscribed from before the start to the end and has seen clouds at all."""
+    """Return whether the observer was subscribed from before the start to the end and has seen clouds at all."""
     log = inputs.broker
     return bool(log and not log.gaps and log.since <= inputs.started and log.until >= inputs.ended and log.messages)
 

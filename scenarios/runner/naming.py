@@ -1,4 +1,4 @@
-"""Whether the audit of a recording names exactly what is missing in it, by the players' ledgers. Pure.
+"""Comparison of audits with ledgers: an audit names exactly what is missing in its recording, or not. Pure.
 
 As in `robotkube recording verify` it is asked about stamps that a gap can say something of: from the beginning of the
 window to the last cloud that is stored of each vehicle, the earlier of both.

@@ -1,4 +1,5 @@
-"""Whether cables were as a scenario asked, by a probe before the run and by counters during it. Pure."""
+"""Judgement of cables: they were as a scenario asked, or not, by a probe before the run and by counters during it.
+Pure."""
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ HOLE_LATE_SECONDS_MAX = 0.5
 
 
 def as_asked(inputs: RunInputs) -> bool | None:
-    """Whether every cable had the conditions that were asked for; None when none was asked for."""
+    """Return whether every cable had the conditions that were asked for; None when none was asked for."""
     return not problems(inputs.cables) if inputs.cables else None
 
 

@@ -114,7 +114,7 @@ def _agents(inputs: RunInputs, task: TaskLife) -> set[str]:
 
 
 def _lost_its_releases(inputs: RunInputs, task: TaskLife) -> bool:
-    """Whether a commit that named the task was followed by one that did not, before the task itself was gone."""
+    """Return whether a commit that named the task was followed by one that did not, before the task itself was gone."""
     named = [any(task.key in tasks for tasks in state.tasks.values()) for state in inputs.history]
     return any(before and not after for before, after in pairwise(named)) and _outlived(task)
 

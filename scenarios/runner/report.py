@@ -40,7 +40,7 @@ class Report:
 
     @property
     def passed(self) -> bool:
-        """Whether every expectation holds."""
+        """Return whether every expectation holds."""
         return bool(self.document["passed"])
 
 

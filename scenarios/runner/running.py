@@ -314,7 +314,8 @@ def play(going: Run) -> None:
 
 
 def wait_for_end(going: Run) -> None:
-    """Until all ledgers have their end and everything that the events led to is gone again, and a little longer."""
+    """Wait until all ledgers have their end and everything that the events led to is gone again, and a little
+    longer."""
     if going.scenario.players:
         _wait_for_players(going)
 

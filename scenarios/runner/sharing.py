@@ -32,8 +32,8 @@ def demands_max(inputs: RunInputs, encounters: Sequence[Encounter]) -> int | Non
 
 
 def kept(inputs: RunInputs, encounters: Sequence[Encounter]) -> bool | None:
-    """Whether every shared uplink named the first task, then both, then the second alone, without a commit between
-    them that named none."""
+    """Return whether every shared uplink named the first task, then both, then the second alone, without a commit
+    between them that named none."""
     shared = overlapping(encounters)
     if not shared or not inputs.history:
         return None

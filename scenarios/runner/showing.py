@@ -69,7 +69,7 @@ class Showing:
 
 
 def since(moment: int, started: int | None) -> str:
-    """When a moment was, as in the report's timeline; before the story, by the clock."""
+    """The time of a moment, as in the report's timeline; before the story, by the clock."""
     if started is None or moment < started:
         return f"{clock(moment):>11}"
     return f"{(moment - started) / NANOSECONDS:9.3f} s"

@@ -77,5 +77,5 @@ class DelayedQueue:
 
     @property
     def next_due(self) -> float | None:
-        """When the next packet is due; None when none waits."""
+        """The time at which the next packet is due; None when none waits."""
         return self._waiting[0].due if self._waiting else None

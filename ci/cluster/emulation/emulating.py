@@ -218,7 +218,7 @@ def clear(plan: AddressPlan, folders: ClusterFolders) -> None:
 
 
 def _clear_machine(plan: AddressPlan, index: int) -> bool:
-    """Whether the node's cable is there at all; with it everything else goes."""
+    """Return whether the node's cable is there at all; with it everything else goes."""
     there = network.links(plan)
     wiring = Wiring(plan, index, relayed=Wiring(plan, index, True).relay_end in there)
     if wiring.cable not in there:
@@ -283,7 +283,7 @@ def _lacking(what: str, module: str, condition: str, agents: Sequence[str], keys
 
 
 def can(what: str) -> bool:
-    """Whether the kernel has tbf, netem or numgen: tried in a network namespace that ends with the trial."""
+    """Return whether the kernel has tbf, netem or numgen: tried in a network namespace that ends with the trial."""
     trial = ("nft", "-f", "-") if what == "numgen" else TRIALS[what]
     done = subprocess.run(
         ["unshare", "--net", *trial],

@@ -139,7 +139,7 @@ def flood(ends: Ends, mbit: float, upwards: bool) -> Flood:
 
 
 def _sent(source: socket.socket) -> bool:
-    """Whether the cable took one more packet; else its queue is full of them."""
+    """Return whether the cable took one more packet; else its queue is full of them."""
     try:
         source.send(bytes(PAYLOAD_BYTES))
     except BlockingIOError:
@@ -148,7 +148,7 @@ def _sent(source: socket.socket) -> bool:
 
 
 def _arrived(target: socket.socket) -> list[float]:
-    """When the kernel had each of the packets that wait now."""
+    """The times at which the kernel had each of the packets that wait now."""
     return list(iter(lambda: _next_arrival(target), None))
 
 

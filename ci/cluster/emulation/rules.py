@@ -63,7 +63,7 @@ class Wiring:
 
 
 def relayed(conditions: NetworkConditions, netem: bool) -> bool:
-    """Whether packets have to be delayed by the relay."""
+    """Return whether packets have to be delayed by the relay."""
     return bool(conditions.round_trip_ms) and not netem
 
 

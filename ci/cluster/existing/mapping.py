@@ -35,7 +35,7 @@ class AgentEntry:
     capabilities: tuple[str, ...] = ()
 
     def means(self, name: str, labels: Mapping[str, str]) -> bool:
-        """Whether a Node is meant."""
+        """Return whether a Node is meant."""
         return name == self.node if self.node else all(labels.get(key) == value for key, value in self.selector)
 
     @property

@@ -1,4 +1,5 @@
-"""Whether the images that were built here are in the registry from which a cluster pulls, under the same digests."""
+"""Comparison of images: those that were built here are in the registry from which a cluster pulls, under the same
+digests."""
 
 from __future__ import annotations
 

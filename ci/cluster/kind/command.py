@@ -22,7 +22,7 @@ class Kind:
     program: Path
 
     def runs(self) -> bool:
-        """Whether there is the cluster, whatever state it is in."""
+        """Return whether there is the cluster, whatever state it is in."""
         return CLUSTER in self._run("get", "clusters").split()
 
     def create(self, configuration: Path, kubeconfig: Path, node_image: str) -> None:

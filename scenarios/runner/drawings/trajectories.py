@@ -99,7 +99,8 @@ def _of_encounter(number: int, one: Document, tracks: Mapping[str, Track], given
 
 
 def _while_they_meet(tracks: Mapping[str, Track], moments: Sequence[float], ended: bool) -> Mapping[str, Track]:
-    """From a little before the first moment to a little after the last one; to the end of an event without one."""
+    """The time from a little before the first moment to a little after the last one; to the end of an event without
+    one."""
     begin = min(moments, default=0.0) - BEFORE_SECONDS
     end = max(moments) + AFTER_SECONDS if moments and ended else inf
     return {agent: [row for row in track if begin <= row[0] <= end] or track for agent, track in tracks.items()}
@@ -171,7 +172,8 @@ def free_place(first: Point, second: Point, shares: Sequence[float], taken: Sequ
 
 
 def _distances(one: Document, tracks: Mapping[str, Track]) -> Iterator[tuple[str, float, float]]:
-    """When the vehicles were nearest, by their routes, and when the event starts and ends, by the detector."""
+    """Words about when the vehicles were nearest, by their routes, and when the event starts and ends, by the
+    detector."""
     near = nearest(list(tracks.values()))
     if near is not None:
         yield ("nearest", *near)
@@ -183,7 +185,7 @@ def _distances(one: Document, tracks: Mapping[str, Track]) -> Iterator[tuple[str
 
 
 def nearest(tracks: Sequence[Track]) -> tuple[float, float] | None:
-    """When two tracks are nearest, and how near in m; None unless there are two with a common time."""
+    """The time at which two tracks are nearest, and how near in m; None unless there are two with a common time."""
     if len(tracks) != 2:
         return None
     others = {row[0]: row[1:] for row in tracks[1]}

@@ -107,7 +107,7 @@ def _removal(one: Encounter) -> Iterator[Span]:
 
 
 def _plan_made(edge: Edge, plan: Plan | None) -> Iterator[Span]:
-    """From the triggering pose to the commit on main."""
+    """The part from the triggering pose to the commit on main."""
     yield Span("pose on its way", edge.stamp, edge.time)
     yield Span("detection", edge.time, edge.done)
     yield Span("plan", edge.done, plan.proposed if plan else None)

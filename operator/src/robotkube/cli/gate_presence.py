@@ -50,7 +50,7 @@ class GatePresence:
 
 
 def presence(namespace: str, deployment: Object) -> GatePresence:
-    """Whether the gate is there, by its Deployment; empty when there is none."""
+    """Return whether the gate is there, by its Deployment; empty when there is none."""
     if not deployment:
         return GatePresence(
             namespace,

@@ -42,7 +42,7 @@ class Table:
 
     @property
     def is_empty(self) -> bool:
-        """Whether it is a list without anything in it."""
+        """Return whether it is a list without anything in it."""
         return not (self.single or self.rows or self.text or any(one.rows for one in self.more))
 
 

@@ -25,11 +25,13 @@ from robotkube.foundation.kubernetes.adapters import client
 OBJECTS_MAX = 5000
 PAGE_OBJECTS = 500
 PAGES_MAX = 200
-FORGE, ENCRYPTED = "forge", "https"  # its Service, and the name of a Service's port that speaks TLS
+FORGE = "forge"  # its Service
+ENCRYPTED = "https"  # the name of a Service's port that speaks TLS
 EVIDENCE_KEYS = "evidence-keys"
 MADE_KEYS = "robotkube.io/made-keys"  # its annotation with the ConfigMap of keys that were made in the cluster
 IMAGES = "platform-images"
-SUITE_RUNNER, SETTINGS_KEY = "suite-runner", "config.yaml"
+SUITE_RUNNER = "suite-runner"
+SETTINGS_KEY = "config.yaml"
 RIGHTS = "rights"
 IMAGES_KEY, SERVICES_KEY = "images.yaml", "services.yaml"
 DATABASE_ACCOUNT = "database-account"
@@ -119,7 +121,7 @@ class Platform:
             return None
 
     def gate(self) -> GatePresence:
-        """Whether the gate is there."""
+        """Return whether the gate is there."""
         try:
             namespace = self.gate_namespace()
             return presence(namespace, self._deployment(namespace, GATE))

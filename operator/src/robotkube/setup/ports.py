@@ -113,7 +113,7 @@ class GateKeyObjects(Protocol):
     UnavailableError when the API server does not answer, InputError when it refuses."""
 
     def has_key(self) -> bool:
-        """Whether there is a Secret of that name, whatever is in it."""
+        """Return whether there is a Secret of that name, whatever is in it."""
         ...
 
     def public_keys(self) -> Mapping[str, Mapping[str, str]]:
@@ -158,9 +158,9 @@ class RecordedEvents(Protocol):
         ...
 
     def messages(self) -> bool:
-        """Whether a message of the recording is stored."""
+        """Return whether a message of the recording is stored."""
         ...
 
     def ended(self) -> bool:
-        """Whether the recording has its end."""
+        """Return whether the recording has its end."""
         ...

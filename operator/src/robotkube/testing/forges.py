@@ -53,7 +53,7 @@ class MemoryRepository:
         return self.commits[self.heads[number]]
 
     def contains(self, commit: str) -> bool:
-        """Whether a commit is on main."""
+        """Return whether a commit is on main."""
         return any(known.id == commit for known in self.log(None, len(self.commits)))
 
     def log(self, since: str | None, commits_max: int) -> Sequence[Commit]:

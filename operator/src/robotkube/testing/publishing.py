@@ -40,7 +40,7 @@ class MemoryCatalogue(MemoryRepository):
         return self.commits[self.heads[number]]
 
     def contains(self, commit: str) -> bool:
-        """Whether `commit` is main's tip or an ancestor, by any parent."""
+        """Return whether `commit` is main's tip or an ancestor, by any parent."""
         ancestors: set[str] = set()
         left = [self.tip]
         while left:

@@ -58,7 +58,7 @@ class RecordingDatabase:
             yield entry["topic"], entry["stamp"], entry["sha256"]
 
     def documents(self, recording: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
-        """As the port says."""
+        """See the port."""
         self.ping()
         own = self.collections.get(RECORDINGS, {}).get(recording)
         if own is not None:
@@ -68,7 +68,7 @@ class RecordingDatabase:
                 yield collection, dict(document)
 
     def finished(self, volume: str) -> Collection[str]:
-        """As the port says."""
+        """See the port."""
         self.ping()
         known = self.collections.get(SEGMENTS, {}).values()
         return {segment["segment"] for segment in known if segment["volume"] == volume and segment["sha256"]}
@@ -90,36 +90,36 @@ class RecordingDatabase:
                     document[name] = [*document[name], *([] if value in document[name] else [value])]
 
     def ping(self) -> None:
-        """As the port says."""
+        """See the port."""
         if self.away:
             raise UnavailableError("database: is away")
 
     def close(self) -> None:
-        """As the port says."""
+        """See the port."""
 
     def recordings(self) -> Sequence[Mapping[str, Any]]:
-        """As the port says."""
+        """See the port."""
         self.ping()
         return list(self.collections.get(RECORDINGS, {}).values())
 
     def buckets(self, recording: str) -> Iterable[Mapping[str, Any]]:
-        """As the port says."""
+        """See the port."""
         return self._of(SAMPLES, recording)
 
     def index(self, recording: str) -> Iterable[Mapping[str, Any]]:
-        """As the port says."""
+        """See the port."""
         return self._of(INDEX, recording)
 
     def segments(self, recording: str) -> Sequence[Mapping[str, Any]]:
-        """As the port says."""
+        """See the port."""
         return self._of(SEGMENTS, recording)
 
     def audits(self, recording: str) -> Sequence[Mapping[str, Any]]:
-        """As the port says."""
+        """See the port."""
         return self._of(AUDITS, recording)
 
     def manifests(self, recording: str) -> Sequence[Mapping[str, Any]]:
-        """As the port says."""
+        """See the port."""
         return self._of(MANIFESTS, recording)
 
     def _of(self, collection: str, recording: str) -> list[Mapping[str, Any]]:
@@ -163,37 +163,37 @@ class RecordingVolume:
             raise OSError(errno.ENOSPC, "No space left on device")
 
     def segments(self, recording: str) -> MemorySegments:
-        """As the port says."""
+        """See the port."""
         self.require()
         return MemorySegments(self, recording)
 
     def spool(self) -> MemorySpool:
-        """As the port says."""
+        """See the port."""
         self.require()
         return MemorySpool(self)
 
     def repairs(self) -> MemoryRepair:
-        """As the port says."""
+        """See the port."""
         self.require()
         return MemoryRepair(self)
 
     def note(self, recording: str, life: str, lines: Sequence[str]) -> None:
-        """As the port says."""
+        """See the port."""
         self.require(sum(map(len, lines)))
         self.manifest_killer()
         self.noted.setdefault((recording, life), []).extend(lines)
 
     def noted_of(self, recording: str) -> Mapping[str, Sequence[str]]:
-        """As the port says."""
+        """See the port."""
         self.require(-(1 << 60))
         return {life: lines for (name, life), lines in self.noted.items() if name == recording}
 
     def notes(self, volume: str, recording: str) -> Mapping[str, Sequence[str]]:
-        """As the port of reading says."""
+        """See the port of reading."""
         return self.noted_of(recording)
 
     def read(self, volume: str, place: SegmentPlace, size: int) -> bytes:
-        """As the port of reading says."""
+        """See the port of reading."""
         try:
             data = self.files[place.segment].messages[place.offset].data
         except (KeyError, IndexError) as error:
@@ -201,7 +201,7 @@ class RecordingVolume:
         return data[:size]
 
     def digest(self, volume: str, segment: str) -> tuple[str, int]:
-        """As the port of reading says."""
+        """See the port of reading."""
         if segment not in self.files:
             raise UnavailableError(f"{volume}: {segment}: No such file")
         return whole(self.files[segment].messages)
@@ -255,7 +255,7 @@ class MemorySegments:
         """Do nothing: nothing is to be done before the end."""
 
     def close(self) -> None:
-        """As the port says."""
+        """See the port."""
         file = self._volume.files.get(self._name)
         if file is not None and not file.ended:
             self._volume.require()
@@ -264,7 +264,7 @@ class MemorySegments:
             self._closed.append(ClosedSegment(self._name, *whole(file.messages), messages=len(file.messages)))
 
     def closed(self) -> Sequence[ClosedSegment]:
-        """As the port says."""
+        """See the port."""
         closed = self._closed
         self._closed = []
         return closed
@@ -277,11 +277,11 @@ class MemoryRepair:
     volume: RecordingVolume
 
     def unfinished(self, finished: Collection[str]) -> Sequence[str]:
-        """As the port says."""
+        """See the port."""
         return [name for name, file in self.volume.files.items() if file.writer is None and name not in finished]
 
     def messages(self, segment: str) -> Sequence[SegmentMessage]:
-        """As the port says."""
+        """See the port."""
         self.volume.require(-(1 << 60))
         return [
             SegmentMessage(
@@ -296,7 +296,7 @@ class MemoryRepair:
         ]
 
     def finish(self, segment: str) -> ClosedSegment | None:
-        """As the port says."""
+        """See the port."""
         self.volume.require()
         self.volume.killer()
         file = self.volume.files[segment]
@@ -311,7 +311,7 @@ class MemorySpool:
     volume: RecordingVolume
 
     def put(self, writes: Sequence[Write]) -> str:
-        """As the port says."""
+        """See the port."""
         self.volume.require(_size(writes))
         self.volume.killer()
         name = f"{self.volume.name()}.bson"
@@ -319,26 +319,26 @@ class MemorySpool:
         return name
 
     def batches(self) -> Sequence[Batch]:
-        """As the port says."""
+        """See the port."""
         return [
             Batch(name, _size(writes), given_up) for name, (writes, given_up) in sorted(self.volume.batches.items())
         ]
 
     def read(self, batch: str) -> Sequence[Write]:
-        """As the port says."""
+        """See the port."""
         self.volume.require(-(1 << 60))
         if batch not in self.volume.batches:
             raise DocumentError(batch, ["is gone"])
         return self.volume.batches[batch][0]
 
     def give_up(self, batch: str, writes: Sequence[Write]) -> None:
-        """As the port says."""
+        """See the port."""
         self.volume.require(-(1 << 60))
         self.volume.killer()
         self.volume.batches[batch] = (list(writes), True)
 
     def remove(self, batch: str) -> None:
-        """As the port says."""
+        """See the port."""
         self.volume.require(-(1 << 60))
         self.volume.killer()
         self.volume.batches.pop(batch, None)

@@ -124,8 +124,8 @@ def _check_taken(platform: Platform, token: JoinToken) -> None:
 
 
 def _is_taken(platform: Platform, token: JoinToken) -> bool:
-    """Whether the API server takes the token, which it may learn of a moment after it was made; it remembers for ten
-    seconds what it did not know."""
+    """Return whether the API server takes the token, which it may learn of a moment after it was made; it remembers for
+    ten seconds what it did not know."""
     review = {"apiVersion": "authentication.k8s.io/v1", "kind": "TokenReview", "spec": {"token": token.text}}
     end = time.monotonic() + TAKEN_SECONDS_MAX
     while True:
@@ -145,7 +145,7 @@ def join_tokens(platform: Platform) -> Iterable[Mapping[str, Any]]:
 
 
 def token_ends(platform: Platform) -> Mapping[str, str]:
-    """When the token of each agent ends that has one; empty when tokens may not be read."""
+    """The ends of agents' tokens, by agent, of those that have one; none when tokens may not be read."""
     try:
         tokens = join_tokens(platform)
     except InputError:

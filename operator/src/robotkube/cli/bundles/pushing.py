@@ -38,7 +38,8 @@ def pushing(parser: argparse.ArgumentParser) -> None:
 
 def push_bundle(options: argparse.Namespace) -> Table:
     """Copy, and compare what is there."""
-    bundle, place = opened(options), read_place(options.to)
+    bundle = opened(options)
+    place = read_place(options.to)
     account = given_account(options.username, options.password_file) or kept_account(place.host)
     oras = Oras(options.oras or find_oras(), account, options.ca, options.plain_http)
     items = [bundle.contents.listing(bundle.digest), *bundle.contents.items]

@@ -172,7 +172,7 @@ def _at_forge(platform: Platform, plan: Document) -> str:
 
 
 def lacks_pages(forge: str) -> bool:
-    """Whether a forge was built without what its pages load; False also when it does not answer from here."""
+    """Return whether a forge was built without what its pages load; False also when it does not answer from here."""
     try:
         with urllib3.PoolManager() as pool:
             answer = pool.request("GET", forge + PAGES_MADE, timeout=FORGE_SECONDS_MAX, retries=False, redirect=False)

@@ -91,14 +91,18 @@ class Feed:
     ) -> None:
         self.picture = PlatformPicture()
         self.tells_pods = True
-        self._platform, self._tell, self._clock_ns, self._with_rates = platform, tell, clock_ns, with_rates
+        self._platform = platform
+        self._tell = tell
+        self._clock_ns = clock_ns
+        self._with_rates = with_rates
         self._changes: queue.Queue[tuple[str, str, Any, Any, bool]] = queue.Queue(CHANGES_MAX)
         self._watches: dict[str, Watch] = {
             "tasks": platform.watch_tasks(self._receiver("tasks")),
             "pods": platform.watch_of_agents("pods", fleet.look_at_pod, self._receiver("pods")),
             "nodes": platform.watch_of_agents("nodes", fleet.look_at_node, self._receiver("nodes")),
         }
-        self._knows_plans, self._manager_problem = False, ""
+        self._knows_plans = False
+        self._manager_problem = ""
         self._busy_until = self._plans_due = self._rates_due = 0
         self._counted: tuple[int, dict[str, float]] = (0, {})
 

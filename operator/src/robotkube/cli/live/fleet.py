@@ -53,7 +53,7 @@ class AgentRow:
 
     @property
     def is_fine(self) -> bool:
-        """Whether nobody needs to look at it."""
+        """Return whether nobody needs to look at it."""
         return self.ready and self.pods_ready == self.pods
 
 

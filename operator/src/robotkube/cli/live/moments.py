@@ -76,7 +76,7 @@ def conditions(task: Document) -> dict[str, Document]:
 
 
 def event_time(task: Document) -> int | None:
-    """When the event of a task was raised; None when it does not say."""
+    """The time at which the event of a task was raised; None when it does not say."""
     try:
         return time_ns(task["spec"]["event"]["time"])
     except (KeyError, ValueError):
@@ -98,7 +98,8 @@ def _asked(key: str, task: Document, seen: int) -> Iterator[Moment]:
 def _condition(key: str, before: Document, now: Document, seen: int) -> Iterator[Moment]:
     """What is told of a changed condition; that a task goes its way, its plan shows."""
     message = " ".join(str(now.get("message", "")).split())
-    kind, holds = now["type"], now["status"] == "True"
+    kind = now["type"]
+    holds = now["status"] == "True"
     if kind == "Accepted" and not holds:
         yield Moment(seen, f"task {key}: {now.get('reason', '')}: {message}", trouble=True)
     elif kind == "Accepted" and before.get("status") == "False":

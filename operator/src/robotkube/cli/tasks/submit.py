@@ -198,11 +198,13 @@ def _write(platform: Platform, document: Mapping[str, Any], dry_run: bool) -> st
 
 
 def _create(platform: Platform, writer: KubernetesTasks, document: Mapping[str, Any]) -> bool:
-    """Whether the task was created. InputError says which agent was meant, when the namespace is like another one."""
+    """Return whether the task was created. InputError says which agent was meant, when the namespace is like another
+    one."""
     try:
         return writer.create(document)
     except InputError as error:
-        namespace, known = document["metadata"]["namespace"], platform.agents()
+        namespace = document["metadata"]["namespace"]
+        known = platform.agents()
         instead = "" if namespace in known else did_you_mean(namespace, known).strip()
         raise InputError(f"{error}; {instead}" if instead else str(error)) from error
 

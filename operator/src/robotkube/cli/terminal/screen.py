@@ -27,7 +27,8 @@ class LinesAbove(io.TextIOBase):
     and never broken, so that they can be copied."""
 
     def __init__(self, stream: TextIO, lines: deque[str]) -> None:
-        self._stream, self._lines = stream, lines
+        self._stream = stream
+        self._lines = lines
         self._begun = ""
 
     def write(self, text: str) -> int:
@@ -43,7 +44,7 @@ class LinesAbove(io.TextIOBase):
         self._begun = ""
 
     def isatty(self) -> bool:
-        """As the stream itself: a terminal."""
+        """A terminal, as the stream itself."""
         return True
 
     def fileno(self) -> int:
@@ -96,7 +97,8 @@ class _Drawing:
             console=console, auto_refresh=False, transient=True, get_renderable=drawn, redirect_stdout=False,
             redirect_stderr=False,
         )  # fmt: skip
-        self._console, self._lines = console, lines
+        self._console = console
+        self._lines = lines
         self._streams = sys.stdout, sys.stderr
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._run, name="screen", daemon=True)

@@ -10,7 +10,7 @@ from robotkube.foundation.documents.core.patterns import DIGEST_IN_TEXT
 
 
 def is_terminal(stream: TextIO) -> bool:
-    """Whether tables can be drawn for people on `stream`."""
+    """Return whether tables can be drawn for people on `stream`."""
     return stream.isatty() and find_spec("rich") is not None
 
 

@@ -51,7 +51,7 @@ class Issuer(Protocol):
         ...
 
     def is_authority(self, pair: Pair) -> bool:
-        """Whether it may sign others."""
+        """Return whether it may sign others."""
         ...
 
     def issue(self, authority: Pair, names: Collection[str], now: float, seconds: float) -> Pair:

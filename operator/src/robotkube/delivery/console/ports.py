@@ -43,7 +43,7 @@ class ManagerPages:
     namespaces: frozenset[str] = frozenset({ALL})
 
     def answers(self, namespace: str) -> bool:
-        """Whether tasks in a namespace are this manager's."""
+        """Return whether tasks in a namespace are this manager's."""
         return ALL in self.namespaces or namespace in self.namespaces
 
 

@@ -238,7 +238,8 @@ def build_watch(
     configuration: GateConfiguration, work: Path, main: MainBranch, recorder: MergeRecorder | None
 ) -> UncheckedWatch:
     """The watch for commits that the gate did not check; what an earlier process was about to merge, it did check."""
-    account, repository = configuration.account, configuration.gate.deployment
+    account = configuration.account
+    repository = configuration.gate.deployment
     folder = work / "records-read"
     notes = GitNotes(configuration.forge.url, repository, account.username, account.password, folder, REFERENCE)
     watch = UncheckedWatch(main, notes, Trust(repository, TrustedKeys(configuration.keys), holds), time.monotonic)
@@ -370,8 +371,11 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     trust(configuration.forge.authorities, configuration.authorities)
     work = Path(environment.get("ROBOTKUBE_WORK", "/tmp/gate"))  # noqa: S108 - the pod's own volume
     program = environment.get(PROGRAM_VARIABLE, PROGRAM)
-    deployment_schemas, renderer = BoundedSchemas(), ChartRenderer(program)
-    catalogue_schemas, trial_renderer = BoundedSchemas(), ChartRenderer(program)  # so that no loop waits for the other
+    # each loop has tools of its own, so that none waits for the other
+    deployment_schemas = BoundedSchemas()
+    renderer = ChartRenderer(program)
+    catalogue_schemas = BoundedSchemas()
+    trial_renderer = ChartRenderer(program)
     recorder = build_recorder(configuration, work)
     gate = build_gate(configuration, work, deployment_schemas, renderer, recorder)
     publication = build_publication(configuration, work, gate, catalogue_schemas, trial_renderer)

@@ -25,7 +25,7 @@ class PolicyPlace(Protocol):
         ...
 
     def intact(self) -> bool:
-        """Whether what was written last still stands there, as far as is known here; else it has to be written
+        """Return whether what was written last still stands there, as far as is known here; else it has to be written
         again."""
         ...
 

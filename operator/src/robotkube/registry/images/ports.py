@@ -16,7 +16,7 @@ class Engine(Protocol):
         ...
 
     def has(self, tag: str) -> bool:
-        """Whether it has an image of that tag."""
+        """Return whether it has an image of that tag."""
         ...
 
     def load(self, archive: Path, tag: str) -> None:

@@ -32,7 +32,7 @@ class ChartSource:
 
     @property
     def submitted(self) -> SubmittedChart:
-        """As the gate reads it; DocumentError when the gate would refuse it."""
+        """The submission as the gate reads it; DocumentError when the gate would refuse it."""
         return read_entry(self.entry, f"charts/{self.packed.name}/{self.packed.version}.yaml")
 
 

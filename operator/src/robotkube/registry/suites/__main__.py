@@ -30,7 +30,7 @@ WITHOUT_NAMESPACE = frozenset(suite.name for suite in (StaticSuite, ImagesSuite)
 
 
 def needs_namespace(rule: SuiteRule) -> bool:
-    """Whether a rule's suite runs something on the cluster."""
+    """Return whether a rule's suite runs something on the cluster."""
     return bool(rule.image) or rule.name not in WITHOUT_NAMESPACE
 
 

@@ -48,12 +48,12 @@ class MqttChannel(Protocol):
 
     @property
     def wants_write(self) -> bool:
-        """Whether something waits that the socket did not take."""
+        """Return whether something waits that the socket did not take."""
         ...
 
     @property
     def congested(self) -> bool:
-        """Whether something waits that did not leave the machine: in front of the socket, or in it."""
+        """Return whether something waits that did not leave the machine: in front of the socket, or in it."""
         ...
 
     def turn(self, now: float) -> None:

@@ -38,7 +38,8 @@ class KubernetesGateKey:
         self._namespaces = tuple(namespaces)
 
     def has_key(self) -> bool:
-        """Whether making the Secret would meet one of that name: it is made as a trial, of which nothing stays."""
+        """Return whether making the Secret would meet one of that name: it is made as a trial, of which nothing
+        stays."""
         return not self._api.create(f"{self._secrets}?dryRun=All", self._secret({}))
 
     def public_keys(self) -> Mapping[str, Mapping[str, str]]:

@@ -22,7 +22,7 @@ class DatabaseRecording:
         self._own()
 
     def messages(self) -> bool:
-        """Whether a message, small or large, is stored."""
+        """Return whether a message, small or large, is stored."""
         if self._own() is None:
             return False  # it is written before all else; not every server finds the rest without reading everything
         with translated(f"reading recording {self._recording}"):
@@ -30,7 +30,7 @@ class DatabaseRecording:
             return any(self._database[name].find_one(wanted, {"_id": 1}) is not None for name in (SAMPLES, INDEX))
 
     def ended(self) -> bool:
-        """Whether the recorder has written its end."""
+        """Return whether the recorder has written its end."""
         own = self._own()
         return own is not None and own.get("ended") is not None
 

@@ -180,7 +180,7 @@ def _change(change: MainChange, merges: Merges, end: MadeGood | None) -> Row:
 
 
 def _time(change: MainChange, merges: Merges) -> str:
-    """When main moved, by the gate's record; else when the commit was made, by its committer's clock."""
+    """The time at which main moved, by the gate's record; else when the commit was made, by its committer's clock."""
     record = merges.records.get(change.commit.id)
     return record.time if record else seconds_text(change.commit.committed)
 

@@ -133,7 +133,8 @@ class Auditor:
 
     def _break_glass(self, commits: Sequence[HistoryCommit], merges: Merges) -> Mapping[str, UncheckedCommit]:
         """The commits without a record that say that they are break-glass, and whether people signed them."""
-        sources, unchecked = self._sources, without_record(commits, merges.records)
+        sources = self._sources
+        unchecked = without_record(commits, merges.records)
         order = [commit.id for commit in commits]
         judged = {}
         for place, commit in enumerate(commits):

@@ -27,7 +27,8 @@ LOOK_SECONDS = 1.0
 ALWAYS_THERE = ("nodes", "tasks", "pods")  # Argo CD may be away, and nobody may inspect
 DETECTOR_NAME, BRIDGE_NAME = "event-detector", "mqtt-bridge"
 NAME_LABEL = "app.kubernetes.io/name"
-CONFIG_MAP_VARIABLE, SETTINGS_KEY = "ROBOTKUBE_CONFIGMAP", "config.yaml"
+CONFIG_MAP_VARIABLE = "ROBOTKUBE_CONFIGMAP"
+SETTINGS_KEY = "config.yaml"
 ADVICE = "What is shown is as of then. Look at the API server, and at the rights of the account console."
 
 Object = Mapping[str, Any]

@@ -26,7 +26,7 @@ class Session:
     csrf: str
 
     def vouches(self, word: str) -> bool:
-        """Whether a request names the session's word."""
+        """Return whether a request names the session's word."""
         return hmac.compare_digest(word.encode(), self.csrf.encode())
 
 

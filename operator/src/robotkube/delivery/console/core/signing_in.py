@@ -30,7 +30,7 @@ class SignIn:
 
     @property
     def encrypted(self) -> bool:
-        """Whether a browser speaks TLS with the console."""
+        """Return whether a browser speaks TLS with the console."""
         return self.url.startswith("https://")
 
 
@@ -51,7 +51,7 @@ class Person:
     groups: tuple[str, ...] = ()
 
     def is_in(self, listed: Collection[str]) -> bool:
-        """Whether one of the groups is listed."""
+        """Return whether one of the groups is listed."""
         return any(group in listed for group in self.groups)
 
 

@@ -166,7 +166,7 @@ class ReadModel:
             _bound(table, kinds.RECORDINGS, RECORDINGS_MAX, lambda recording: recording["at_work"])
 
     def leave_recordings(self, detectors: Collection[str]) -> None:
-        """Only these detectors are there: nobody is at work any more on recordings of others."""
+        """End the recordings of all detectors but these: nobody is at work on them any more."""
         with self._changing() as table:
             for key, document in table.documents(kinds.RECORDINGS).items():
                 if document["at_work"] and document["detector"] not in detectors:

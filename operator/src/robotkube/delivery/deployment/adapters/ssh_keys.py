@@ -38,7 +38,7 @@ def _load(path: Path, data: bytes, passphrase: bytes | None) -> object | None:
 
 
 def holds(signature: str, keys: Iterable[bytes], statement: bytes) -> bool:
-    """Whether it is a signature over `statement` by one of these public keys."""
+    """Return whether it is a signature over `statement` by one of these public keys."""
     read = read_signature(signature)
     if read is None or read[0] not in keys:
         return False

@@ -77,7 +77,7 @@ class CommitMessage:
 
     @property
     def initial(self) -> bool:
-        """Whether the initial configuration changes, as well or alone."""
+        """Return whether the initial configuration changes, as well or alone."""
         return INITIAL in self.kinds
 
     def signed(self, manager: str, term: int) -> CommitMessage:

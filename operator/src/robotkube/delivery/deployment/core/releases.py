@@ -91,7 +91,7 @@ class Release:
         return source_name(self.chart, self.digest)
 
     def same_but_plan(self, other: Release) -> bool:
-        """Whether both ask for the same, whichever plan wrote them."""
+        """Return whether both ask for the same, whichever plan wrote them."""
         return self._content == other._content
 
     @property

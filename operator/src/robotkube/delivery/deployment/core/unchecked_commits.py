@@ -64,7 +64,7 @@ class GlassClaim:
 
 
 def says_break_glass(message: str) -> bool:
-    """Whether a commit's message says that it is break-glass, well-formed or not."""
+    """Return whether a commit's message says that it is break-glass, well-formed or not."""
     return any(line.startswith(TRAILER) for line in message.split("\n"))
 
 

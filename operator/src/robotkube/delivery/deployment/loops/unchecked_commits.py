@@ -100,7 +100,7 @@ class UncheckedWatch:
 
     @property
     def unrecorded(self) -> bool:
-        """Whether a record is missing, which may still come."""
+        """Return whether a record is missing, which may still come."""
         return any(one.how == NO_RECORD for one in self.standing) or (self._first < 0 and len(self._commits) > 1)
 
     def read(self) -> bool:
@@ -169,11 +169,11 @@ class UncheckedWatch:
         self._open = {commit: text for commit, text in self._open.items() if self._matters(commit)}
 
     def _matters(self, commit: str) -> bool:
-        """Whether something is to be said about a commit without a record, or may be once others have theirs."""
+        """Return whether something is to be said about a commit without a record, or may be once others have theirs."""
         return says_break_glass(self._open[commit]) or self._first < 0 or self._places[commit] > self._first
 
     def _missing(self) -> bool:
-        """Whether a commit should have a record, or main a first one."""
+        """Return whether a commit should have a record, or main a first one."""
         return any(self._first < 0 or self._places[commit] > self._first for commit in self._open)
 
     # -- what stands ----------------------------------------------------------------------------------------------

@@ -85,7 +85,7 @@ class ProposalVerdict:
 
     @property
     def accepted(self) -> bool:
-        """Whether the commit may be merged."""
+        """Return whether the commit may be merged."""
         return not self.stale and not self.problems
 
 

@@ -306,8 +306,8 @@ class Gate:
         return replace(case, verdict=verdict), merge.id
 
     def _still_proposed(self, case: _Case) -> bool:
-        """Whether the pull request is open with what was judged: a webhook may come late, and judging takes a while, in
-        which whoever proposed it can close it or propose something else."""
+        """Return whether the pull request is open with what was judged: a webhook may come late, and judging takes a
+        while, in which whoever proposed it can close it or propose something else."""
         now = self._forge.pull_request(case.pull.number)
         if now.state == "open" and now.head == case.pull.head:
             return True
@@ -315,7 +315,7 @@ class Gate:
         return False
 
     def _plans(self, pull: PullRequest) -> bool:
-        """Whether its author is a manager."""
+        """Return whether its author is a manager."""
         return self._settings.proposer(pull.author) is not None
 
     def _merge(self, case: _Case, commit: str, before: str) -> bool:

@@ -57,7 +57,7 @@ class MainContents(Protocol):
         ...
 
     def contains(self, commit: str) -> bool:
-        """Whether `commit` is on main; InputError when it is not here at all."""
+        """Return whether `commit` is on main; InputError when it is not here at all."""
         ...
 
 

@@ -87,7 +87,7 @@ def _mappings(live: Object, rendered: Object, place: str, words: str) -> Iterato
 
 
 def is_explained(live: Object, key: str, place: str) -> bool:
-    """Whether a field that the chart does not name was filled in."""
+    """Return whether a field that the chart does not name was filled in."""
     if place in OF_CONTROLLERS or place in NOT_COMPARED:
         return True
     if key == "serviceAccount":  # the former name of serviceAccountName, kept equal

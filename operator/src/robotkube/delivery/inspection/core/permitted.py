@@ -64,7 +64,7 @@ class Permitted:
     lately: frozenset[str] = frozenset()
 
     def image(self, reference: str, namespace: str) -> bool:
-        """Whether an image may run in a namespace."""
+        """Return whether an image may run in a namespace."""
         if is_listed(reference, namespace, self.domain, self.allowed) or not self.is_judged(namespace):
             return True
         if namespace in self.domain.agents:
@@ -72,7 +72,7 @@ class Permitted:
         return namespace not in self.domain.tests and reference in self.installed
 
     def chart(self, chart: str) -> bool:
-        """Whether releases may be of a chart."""
+        """Return whether releases may be of a chart."""
         return chart in self.allowed.charts or chart in self.lately
 
     def release(self, namespace: str, workload: str, label: str = "") -> ReleaseShape | None:
@@ -84,11 +84,12 @@ class Permitted:
         return next(rendering, None) or next(unknown, None)
 
     def is_judged(self, namespace: str) -> bool:
-        """Whether images and makers of pods matter there: Argo CD and others are known where the cluster is ours."""
+        """Return whether images and makers of pods matter there: Argo CD and others are known where the cluster is
+        ours."""
         domain = self.domain
         return domain.elsewhere or namespace in (*domain.agents, *domain.tests, *domain.of_the_platform)
 
     def is_ours(self, namespace: str) -> bool:
-        """Whether a namespace is one of agents, tests, the platform, its gate or Argo CD."""
+        """Return whether a namespace is one of agents, tests, the platform, its gate or Argo CD."""
         domain = self.domain
         return namespace in (*domain.agents, *domain.tests, *domain.of_the_platform, domain.argocd)

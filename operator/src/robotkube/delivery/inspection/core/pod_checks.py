@@ -171,7 +171,7 @@ def _added(pod: KubeletPod) -> Iterator[Stranger]:
 
 
 def _release(pod: KubeletPod, permitted: Permitted) -> Iterator[Stranger]:
-    """Whether a pod is of a release that main has, and is what that release's chart renders."""
+    """Return whether a pod is of a release that main has, and is what that release's chart renders."""
     kind, name = pod.owner
     workload = name.rpartition("-")[0]  # the name of its Deployment
     shape = permitted.release(pod.namespace, workload, pod.release) if kind == "ReplicaSet" else None

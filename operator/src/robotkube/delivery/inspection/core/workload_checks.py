@@ -88,6 +88,6 @@ def _otherwise(
 
 
 def _made_by(metadata: Object, kind: str) -> bool:
-    """Whether a controller made it of a workload that is looked at itself."""
+    """Return whether a controller made it of a workload that is looked at itself."""
     owners = {owner.get("kind") for owner in metadata.get("ownerReferences") or () if owner.get("controller")}
     return bool(owners & {"ReplicaSet": {"Deployment"}, "Job": {"CronJob"}}.get(kind, set()))

@@ -35,7 +35,7 @@ Answer = NodeReading | UnavailableError | InputError
 
 @dataclass
 class _Schedule:
-    """When what is to be looked at next, in seconds of the clock."""
+    """The next times of what is to be looked at, in seconds of the clock."""
 
     nodes: dict[str, float] = field(default_factory=dict)
     releases: float = 0.0

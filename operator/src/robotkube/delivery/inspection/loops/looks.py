@@ -55,8 +55,8 @@ class NodeLooks:
         return self._known[node]
 
     def _is_starting(self, node: str, reading: NodeReading, now: float) -> bool:
-        """Whether a kubelet that was started just now has not heard from the API server: then it knows static pods
-        alone, and everything else would look foreign."""
+        """Return whether a kubelet that was started just now has not heard from the API server: then it knows static
+        pods alone, and everything else would look foreign."""
         if any(not pod.static for pod in reading.pods) or not reading.running:
             self._empty_since.pop(node, None)
             return False

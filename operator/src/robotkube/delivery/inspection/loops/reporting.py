@@ -139,7 +139,8 @@ class Reporter:
     def metrics(self) -> list[Series]:
         """Strangers by place and reason, and how old the last look that saw anything is; for any thread."""
         with self._lock:
-            looks, looked = list(self._looks.values()), dict(self._looked_ns)
+            looks = list(self._looks.values())
+            looked = dict(self._looked_ns)
         now = self._now_ns()
         places = {look.name: (look.looks_at, look.node) for look in looks}
         strangers: Counter[tuple[str, ...]] = Counter(
@@ -187,7 +188,7 @@ class Reporter:
 
 
 def _is_same(before: Status, status: Status, now_ns: int) -> bool:
-    """Whether `status` says nothing new, and what stands is young enough."""
+    """Return whether `status` says nothing new, and what stands is young enough."""
     if {**before, "observedTime": ""} != {**status, "observedTime": ""}:
         return False
     return now_ns - time_ns(before["observedTime"]) < HEARTBEAT_SECONDS * 10**9 if "observedTime" in before else True

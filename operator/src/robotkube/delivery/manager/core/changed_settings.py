@@ -1,4 +1,4 @@
-"""Whether changed settings are at work, as far as readiness says it.
+"""Changed settings that are at work, as far as readiness says it.
 
 A process that watches its settings is not ready while it does not take them, and its kubelet notices that by the
 second probe. A process that began after its release's plan has read them at its start.

@@ -192,7 +192,7 @@ def _reason(desired: Composition, demand: Demand) -> str:
 
 
 def _same_place(before: Met | Refused, after: Met | Refused) -> bool:
-    """Whether what gave way would stay where it is: what runs may stay though there is no room, so it would."""
+    """Return whether what gave way would stay where it is: what runs may stay though there is no room, so it would."""
     return isinstance(before, Met) and isinstance(after, Met) and before.releases == after.releases
 
 

@@ -34,7 +34,7 @@ def held(
 
 
 def _moves(left: Change, added: Change) -> bool:
-    """Whether `added` is the release that goes with `left`, on another agent: nothing else differs."""
+    """Return whether `added` is the release that goes with `left`, on another agent: nothing else differs."""
     before, after = left.release, added.release
     return (before.name, before.chart, _anywhere(before)) == (after.name, after.chart, _anywhere(after))
 

@@ -61,7 +61,7 @@ class Asked:
     task: TaskDescription | Refused
 
     def answered_by(self, cause: TaskCause) -> bool:
-        """Whether a release with this cause is there for what is asked, not for earlier parameters."""
+        """Return whether a release with this cause is there for what is asked, not for earlier parameters."""
         if isinstance(self.task, Refused):
             return False
         own = self.task.cause

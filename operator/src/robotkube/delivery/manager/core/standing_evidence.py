@@ -43,8 +43,8 @@ def _used(doubtful: set[str], main: Mapping[str, Release], agents: Sequence[Agen
 
 
 def _joined_or_left(kept: Release, wanted: Release, doubtful: set[str]) -> bool:
-    """Whether other tasks than doubtful ones use a release now than on main; for what only the initial configuration
-    uses, whether it changes at all."""
+    """Return whether other tasks than doubtful ones use a release now than on main; for what only the initial
+    configuration uses, whether it changes at all."""
     if not kept.causes:
         return True
     return {cause.task for cause in kept.causes} - doubtful != {cause.task for cause in wanted.causes}

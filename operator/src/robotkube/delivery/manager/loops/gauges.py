@@ -60,7 +60,7 @@ def counted(tasks: Sequence[Mapping[str, Any]]) -> dict[tuple[str, str, str], in
 
 
 def _waits(task: Mapping[str, Any]) -> bool:
-    """Whether a task is neither on main nor refused for good."""
+    """Return whether a task is neither on main nor refused for good."""
     states = {c.get("type"): (c.get("status"), c.get("reason")) for c in _conditions(task)}
     accepted = states.get("Accepted", ("Unknown", ""))
     committed = states.get("Committed", ("False", ""))

@@ -316,7 +316,7 @@ class Planner:
         return unheld
 
     def _is_held(self, changes: tuple[Change, ...]) -> bool:
-        """Whether the gate refused exactly this before."""
+        """Return whether the gate refused exactly this before."""
         return bool(self._held_differences) and fingerprint(changes) in self._held_differences
 
     def _all_holds(self) -> Sequence[DeviceHold]:

@@ -163,7 +163,7 @@ class ApplicationManager:
                 failures += 1
 
     def _leads(self) -> bool:
-        """Whether this process may write now. One that is newly elected begins like one that was started."""
+        """Return whether this process may write now. One that is newly elected begins like one that was started."""
         term = self._ports.leadership.term()
         if term is not None and term != self._term:
             log.info("leading manager=%s term=%d", self._ports.name, term)
@@ -240,7 +240,7 @@ class ApplicationManager:
         return 0.0 if self._proposal is not None else self._monotonic() - self._planned_at
 
     def _decision_is_due(self, flags: set[str]) -> bool:
-        """Whether the gate's decision is polled although no webhook reported one: when it is late, and before a
+        """Return whether the gate's decision is polled although no webhook reported one: when it is late, and before a
         proposal is closed. Not for every task or node that changes: the forge has enough to do for the gate."""
         if self._proposal is None:
             return False
@@ -380,8 +380,8 @@ class ApplicationManager:
         self._again(DEPLOYMENT)
 
     def _is_behind(self) -> bool:
-        """Whether main has a higher term of this manager than this process: another one leads, as the election will
-        show; or the Lease was lost with its cluster, and this one has to be elected with a higher one."""
+        """Return whether main has a higher term of this manager than this process: another one leads, as the election
+        will show; or the Lease was lost with its cluster, and this one has to be elected with a higher one."""
         last = self._terms.last(self._ports.name, self._main.tip)
         if self._term is None or last <= self._term:
             return False
@@ -412,8 +412,8 @@ class ApplicationManager:
         return plan
 
     def _took_over(self, plan: Plan | None, seen: int, started: int) -> bool:
-        """Whether a proposal that is open already does what `plan` does, asked once per term; its decision is polled as
-        if it had been made here. A process that is behind main proposes nothing either."""
+        """Return whether a proposal that is open already does what `plan` does, asked once per term; its decision is
+        polled as if it had been made here. A process that is behind main proposes nothing either."""
         if self._begun:
             return False
         if self._is_behind():

@@ -176,7 +176,8 @@ class StatusWriter:
         return _Due(key, document, conditions, status, before.get("conditions", []))
 
     def _is_too_early(self, since_ns: int) -> bool:
-        """Whether it is too early to write again; keeps the time when it will be. A clock put back holds nothing."""
+        """Return whether it is too early to write again; keeps the time when it will be. A clock put back holds
+        nothing."""
         if not 0 <= self._now_ns() - since_ns < PROGRESS_NS:
             return False
         until = since_ns + PROGRESS_NS
@@ -229,7 +230,7 @@ def _history(
 
 
 def _is_progress(before: Mapping[str, Any], after: Mapping[str, Any]) -> bool:
-    """Whether the same conditions stand for the same reasons, and only their messages differ."""
+    """Return whether the same conditions stand for the same reasons, and only their messages differ."""
     return _without_messages(before) == _without_messages(after)
 
 
@@ -303,7 +304,7 @@ def _committed(key: str, outcome: Met, situation: Situation) -> tuple[StatusCond
 
 
 def _answers(release: Release | None, key: str, situation: Situation) -> bool:
-    """Whether main's release is there for what the task asks now, not for the parameters that it had before."""
+    """Return whether main's release is there for what the task asks now, not for the parameters that it had before."""
     asked = situation.decided.get(key)
     return release is not None and asked is not None and any(map(asked.answered_by, release.causes))
 

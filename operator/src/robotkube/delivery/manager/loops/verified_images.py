@@ -117,7 +117,7 @@ def blamed(
 
 
 def _answers(release: Release | None, demand: str) -> bool:
-    """Whether main's release answers the demand already."""
+    """Return whether main's release answers the demand already."""
     if release is None:
         return False
     return demand.startswith(INITIAL) or demand in {cause.task for cause in release.causes}

@@ -132,7 +132,7 @@ def _reached(host: str, port: int, attempts: int, sleep: Callable[[float], objec
 
 
 def _stays_open(host: str, port: int, sleep: Callable[[float], object]) -> bool:
-    """Whether a port is reached each time."""
+    """Return whether a port is reached each time."""
     for attempt in range(CLOSED_ATTEMPTS):
         if attempt:
             sleep(PAUSE_SECONDS)

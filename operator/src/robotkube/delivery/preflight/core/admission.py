@@ -30,7 +30,8 @@ POLICIES, BINDINGS = "ValidatingAdmissionPolicy", "ValidatingAdmissionPolicyBind
 MUTATING_POLICIES, MUTATING_BINDINGS = "MutatingAdmissionPolicy", "MutatingAdmissionPolicyBinding"
 KINDS = (MUTATING_WEBHOOKS, WEBHOOKS, POLICIES, BINDINGS, MUTATING_POLICIES, MUTATING_BINDINGS)
 NAME_LABEL = "kubernetes.io/metadata.name"
-AGENT_LABEL, PART = "robotkube.io/agent", {"app.kubernetes.io/part-of": "robotkube"}
+AGENT_LABEL = "robotkube.io/agent"
+PART = {"app.kubernetes.io/part-of": "robotkube"}
 OWN = "robotkube-"
 ASKING = "helm template ... | kubectl apply --dry-run=server -f - asks them"
 FILES = "policies that the API server reads from files it shows to nobody"
@@ -126,7 +127,7 @@ def _judges(present: Judges) -> Iterator[Judge]:
 
 
 def _binds(binding: Object, policy: str, kind: str) -> bool:
-    """Whether a binding has its policy refuse or change something: one that warns or audits does neither."""
+    """Return whether a binding has its policy refuse or change something: one that warns or audits does neither."""
     spec = mapping(binding.get("spec"))
     return spec.get("policyName") == policy and (kind != POLICIES or "Deny" in (spec.get("validationActions") or ()))
 
@@ -150,7 +151,7 @@ def _ruled(rule: Mapping[str, Any], target: JudgedObjects) -> bool:
 
 
 def _selected(stated: Mapping[str, Any], target: JudgedObjects) -> bool:
-    """Whether both selectors take the target; one that is not understood does."""
+    """Return whether both selectors take the target; one that is not understood does."""
     for key, known in (("namespaceSelector", target.namespace_labels), ("objectSelector", target.labels)):
         try:
             if known is not None and not selects(read_selector(stated.get(key) or {}, key), known):

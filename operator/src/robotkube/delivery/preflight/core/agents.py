@@ -49,7 +49,8 @@ def _no_node(name: str, role: str) -> Problem:
 
 
 def _wrong_labels(node: Object, agent: str, declared: Mapping[str, str]) -> Iterator[Problem]:
-    name, present = name_of(node), labels_of(node)
+    name = name_of(node)
+    present = labels_of(node)
     if agent not in declared and present.get(ROLE) == PLATFORM:
         return
     if agent not in declared:
@@ -81,7 +82,7 @@ def agents_ready(settings: Mapping[str, Any], nodes: Sequence[Object]) -> CheckV
 
 
 def is_ready(node: Object) -> bool:
-    """Whether its kubelet says that it is ready."""
+    """Return whether its kubelet says that it is ready."""
     conditions = items(mapping(node.get("status")).get("conditions"))
     return any(one.get("type") == "Ready" and one.get("status") == "True" for one in conditions)
 
@@ -123,7 +124,8 @@ def control_groups(versions: Mapping[str, int | Unread], nodes: Sequence[Object]
 
 
 def _refuses_version_1(node: Object) -> bool:
-    """Whether the kubelet of a Node, unless it is told otherwise, does not start on control groups of version 1."""
+    """Return whether the kubelet of a Node, unless it is told otherwise, does not start on control groups of version
+    1."""
     version = str(mapping(mapping(node.get("status")).get("nodeInfo")).get("kubeletVersion", ""))
     known = read_version(version)
     return known is not None and known >= REFUSING

@@ -86,7 +86,8 @@ def _rooms(rendering: RenderedChart, nodes: Sequence[Object], pods: Sequence[Obj
     rooms = {name_of(node): _Room(node, _allocatable(node)) for node in usable}
     own = {workload.namespace for workload in rendering.workloads}
     for pod in pods:
-        spec, phase = mapping(pod.get("spec")), mapping(pod.get("status")).get("phase")
+        spec = mapping(pod.get("spec"))
+        phase = mapping(pod.get("status")).get("phase")
         ours = metadata_of(pod).get("namespace") in own and labels_of(pod).get(PART_OF) == "robotkube"
         room = rooms.get(str(spec.get("nodeName", "")))
         if room is not None and phase not in OVER and not ours:

@@ -49,7 +49,7 @@ class ClusterFinding:
 
     @property
     def document(self) -> Mapping[str, Any]:
-        """As programs read it."""
+        """The finding as programs read it."""
         problems = [{"what": p.what, "where": p.where, "why": p.why, "fix": p.fix} for p in self.problems]
         return {"check": self.check, "result": self.result, "says": self.says, "problems": problems}
 

@@ -50,7 +50,7 @@ def broken(pod: Pod, level: str) -> Iterator[tuple[str, str]]:
 
 
 def _everywhere(sentence: str) -> bool:
-    """Whether a sentence of a rule that is partly of `restricted` alone holds for `baseline` as well."""
+    """Return whether a sentence of a rule that is partly of `restricted` alone holds for `baseline` as well."""
     return HOST_FOLDER in sentence or "capabilities.add" in sentence
 
 

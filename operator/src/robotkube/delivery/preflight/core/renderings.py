@@ -122,5 +122,5 @@ def agents(settings: Mapping[str, Any]) -> Sequence[Mapping[str, Any]]:
 
 
 def enabled(settings: Mapping[str, Any], part: str) -> bool:
-    """Whether the values switch this part on."""
+    """Return whether the values switch this part on."""
     return mapping(settings.get(part)).get("enabled") is True

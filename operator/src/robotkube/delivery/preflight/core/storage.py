@@ -101,7 +101,8 @@ def _no_volume(claim: Claim, chosen: str) -> Problem:
 def _fitting(claim: Claim, chosen: str, volumes: Sequence[Object]) -> bool:
     size = quantity(claim.size) or 0
     for volume in volumes:
-        spec, phase = mapping(volume.get("spec")), mapping(volume.get("status")).get("phase")
+        spec = mapping(volume.get("spec"))
+        phase = mapping(volume.get("status")).get("phase")
         holds = quantity(mapping(spec.get("capacity")).get("storage")) or 0
         modes = set(spec.get("accessModes") or ())
         if phase == "Available" and spec.get("storageClassName") == chosen and holds >= size and claim.modes <= modes:

@@ -38,11 +38,11 @@ class Condition:
 
     @property
     def warns(self) -> bool:
-        """Whether a person has to do something."""
+        """Return whether a person has to do something."""
         return self.reason in WARNINGS
 
     def is_said(self, before: Mapping[str, Any]) -> bool:
-        """Whether the condition before says the same."""
+        """Return whether the condition before says the same."""
         return (before.get("status"), before.get("reason"), before.get("message")) == (
             self.status,
             self.reason,
@@ -50,7 +50,7 @@ class Condition:
         )
 
     def document(self, before: Mapping[str, Any], now: str) -> dict[str, str]:
-        """As the API has it, at time `now` (RFC 3339)."""
+        """The condition as the API has it, at time `now` (RFC 3339)."""
         same = before.get("status") == self.status
         changed = str(before.get("lastTransitionTime", now)) if same else now
         words = {"status": self.status, "reason": self.reason, "message": self.message}

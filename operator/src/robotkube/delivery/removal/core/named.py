@@ -29,7 +29,7 @@ class NamedStrangers:
     condition: Object
 
     def is_believed(self, now_ns: int) -> bool:
-        """Whether the look is young enough to act on. One from the future is not: a clock is wrong."""
+        """Return whether the look is young enough to act on. One from the future is not: a clock is wrong."""
         if self.seen_ns is None:
             return False
         age = now_ns - self.seen_ns
@@ -52,7 +52,7 @@ def read_inspection(document: Object, removed: str) -> NamedStrangers:
 
 
 def _is_seen(condition: Object) -> bool:
-    """Whether what is named was seen, if not everything was."""
+    """Return whether what is named was seen, if not everything was."""
     return condition.get("status") == "True" or condition.get("reason") == PARTLY_SEEN
 
 

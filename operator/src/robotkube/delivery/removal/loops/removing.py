@@ -140,7 +140,8 @@ class Removing:
         try:
             result = DONE if change() else CHANGED
         except InputError as error:
-            result, refused = REFUSED, _refused(str(act.maker), error)
+            result = REFUSED
+            refused = _refused(str(act.maker), error)
         self.results[act.act, result] += 1
         if result == CHANGED:
             return Outcome(REMOVING, f"{act.maker}: changed at this very moment; tried again")

@@ -47,12 +47,12 @@ class Returns:
         return now - known.last if known else float("inf")
 
     def is_due(self, act: str, maker: Maker, now: float) -> bool:
-        """Whether its pause is over; it has none within one turn, at one time `now`."""
+        """Return whether its pause is over; it has none within one turn, at one time `now`."""
         known = self._known.get((act, maker))
         return known is None or now >= known.next or now == known.last
 
     def is_full(self, now: float) -> bool:
-        """Whether so much was taken away in the last minute that something else must be wrong."""
+        """Return whether so much was taken away in the last minute that something else must be wrong."""
         self._recent = [at for at in self._recent if now - at < MINUTE_SECONDS]
         return len(self._recent) >= self.per_minute
 

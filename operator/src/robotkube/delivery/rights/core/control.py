@@ -76,7 +76,8 @@ def first_file(table: Table, passwords: Mapping[str, Password], before: Any, age
     """The file that the broker begins with: accounts and passwords anew, and of those that are still there the lists
     that they had `before`, if they had any, and whether they were shut; the owner's is always anew. Of `agents` those
     that were not there begin shut: whom main lets in, the owner opens."""
-    had, shut = _roles_of(before), _shut_in(before) | (frozenset(agents) - _open_in(before))
+    had = _roles_of(before)
+    shut = _shut_in(before) | (frozenset(agents) - _open_in(before))
     roles = wanted_roles(table)
     kept = {name: had[name] for name in roles if name in had and name != OWNER}
     return {
@@ -116,7 +117,7 @@ def _open_in(document: Any) -> frozenset[str]:
 
 
 def _accounts_in(document: Any) -> Mapping[str, bool]:
-    """Whether each account in a file of the plugin is shut; none when it is not one."""
+    """Return whether each account in a file of the plugin is shut; none when it is not one."""
     try:
         return {one["username"]: bool(one.get("disabled")) for one in document["clients"]}
     except (KeyError, TypeError, AttributeError):

@@ -111,7 +111,7 @@ class MqttTaskGateway:
 
     @property
     def is_open(self) -> bool:
-        """Whether operators are heard now."""
+        """Return whether operators are heard now."""
         return self._open and not self._channel.complaint
 
     def start(self) -> None:
@@ -263,7 +263,7 @@ class MqttTaskGateway:
 
 
 def _is_ours(task: Mapping[str, Any], owners: Mapping[str, str]) -> bool:
-    """Whether the task was asked for through this gateway."""
+    """Return whether the task was asked for through this gateway."""
     metadata = task["metadata"]
     return metadata.get("namespace") in owners and metadata.get("labels", {}).get(GATEWAY_LABEL) == GATEWAY
 

@@ -55,7 +55,7 @@ class _Context(ssl.SSLContext):
 
 
 def changed_at(path: Path) -> int:
-    """When a file changed last, in ns since 1970; 0 while it is not there."""
+    """The time at which a file changed last, in ns since 1970; 0 while it is not there."""
     try:
         return path.stat().st_mtime_ns
     except OSError:
@@ -90,7 +90,7 @@ def trust(*authorities: Path | None) -> None:
 
 @functools.cache
 def trust_text(authorities: str) -> None:
-    """As `trust`, of PEM that stands in no file."""
+    """Trust, as `trust` does, PEM that stands in no file."""
     folder = Path(tempfile.mkdtemp(prefix="authorities-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     (folder / "ca.crt").write_text(authorities, encoding="ascii")

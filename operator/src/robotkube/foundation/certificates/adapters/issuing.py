@@ -74,7 +74,7 @@ def describe(pair: Pair, authority: Pair) -> Life:
 
 
 def is_authority(pair: Pair) -> bool:
-    """Whether a certificate may sign others, and has its own key. InputError when it cannot be read."""
+    """Return whether a certificate may sign others, and has its own key. InputError when it cannot be read."""
     certificate, key = _read(pair)
     try:
         signs = certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca

@@ -17,7 +17,7 @@ from robotkube.foundation.certificates.adapters.verification import ServerVerifi
 
 
 class _Context:
-    """As much of an `ssl.SSLContext` as pymongo uses."""
+    """The part of an `ssl.SSLContext` that pymongo uses."""
 
     check_hostname, verify_mode = True, ssl.CERT_REQUIRED
 

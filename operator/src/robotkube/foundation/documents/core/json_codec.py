@@ -44,7 +44,7 @@ def read_json_shortened(text: str | bytes) -> Any:
 
 
 def _is_too_deep(text: str | bytes, value: Any) -> bool:
-    """Whether `value`, which stands in `text`, has more than LEVELS_MAX levels."""
+    """Return whether `value`, which stands in `text`, has more than LEVELS_MAX levels."""
     if _opened(text) <= LEVELS_MAX:
         return False
     level = [value]

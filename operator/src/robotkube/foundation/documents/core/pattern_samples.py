@@ -83,7 +83,7 @@ class _Text:
 
 
 def _allows(kind: Any, value: Any, character: str) -> bool:
-    """Whether one part, of a single character, allows this one."""
+    """Return whether one part, of a single character, allows this one."""
     if kind is kinds.IN:
         negated = value[0][0] is kinds.NEGATE
         return negated != any(_allows(inner, of_it, character) for inner, of_it in value if inner is not kinds.NEGATE)

@@ -16,7 +16,7 @@ class WrongKeys:
     keys: tuple[str, ...] = ()
 
     def touch(self, key: str) -> bool:
-        """Whether one of them is this key, below it or above it."""
+        """Return whether one of them is this key, below it or above it."""
         return any(_is_at_or_below(one, key) or _is_at_or_below(key, one) for one in self.keys)
 
     def free(self, problems: Iterable[tuple[str, str]]) -> Iterator[tuple[str, str]]:

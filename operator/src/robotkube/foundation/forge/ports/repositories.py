@@ -70,7 +70,7 @@ class DeploymentRepository(MainHistory, Protocol):
         ...
 
     def contains(self, commit: str) -> bool:
-        """Whether `commit`, which is here, is main's tip or one of its ancestors."""
+        """Return whether `commit`, which is here, is main's tip or one of its ancestors."""
         ...
 
     def log(self, since: str | None, commits_max: int) -> Sequence[Commit]:
@@ -147,7 +147,7 @@ class MainBranch(MainHistory, Protocol):
         ...
 
     def contains(self, commit: str) -> bool:
-        """Whether `commit` is main's tip or one of its ancestors."""
+        """Return whether `commit` is main's tip or one of its ancestors."""
         ...
 
     def changes_since_branch(self, commit: str) -> Commit:

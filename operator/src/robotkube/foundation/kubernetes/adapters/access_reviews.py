@@ -15,7 +15,7 @@ RULES = f"/apis/{API}/selfsubjectrulesreviews"
 
 
 def may(call: ApiCall, right: ApiRight) -> bool:
-    """Whether the account has the right."""
+    """Return whether the account has the right."""
     status = _ask(call, ACCESS, "SelfSubjectAccessReview", {"resourceAttributes": right.attributes})
     return status.get("allowed") is True
 

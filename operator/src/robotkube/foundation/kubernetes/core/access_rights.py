@@ -20,7 +20,7 @@ class ApiRight:
     name: str = ""
 
     def __str__(self) -> str:
-        """As people say it."""
+        """The right as people say it."""
         return f"{self.verb} {self.kind} {f'in namespace {self.namespace}' if self.namespace else 'in the cluster'}"
 
     @property
@@ -38,7 +38,8 @@ class ApiRight:
 
 
 def covers(rules: Sequence[Mapping[str, Any]], right: ApiRight) -> bool:
-    """Whether one of these rules gives the right. They have the form of RBAC's, and count where they were asked for."""
+    """Return whether one of these rules gives the right. They have the form of RBAC's, and count where they were asked
+    for."""
     return any(_covers(rule, right) for rule in rules)
 
 

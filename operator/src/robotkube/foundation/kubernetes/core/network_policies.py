@@ -43,7 +43,7 @@ class Requirement:
     values: frozenset[str] = frozenset()
 
     def holds(self, labels: Mapping[str, str]) -> bool:
-        """Whether these labels meet it. A missing label meets NotIn, as in Kubernetes."""
+        """Return whether these labels meet it. A missing label meets NotIn, as in Kubernetes."""
         if self.operator == "In":
             return labels.get(self.key) in self.values
         if self.operator == "NotIn":
@@ -63,7 +63,7 @@ class Block:
     without: tuple[IPv4Network | IPv6Network, ...]
 
     def holds(self, address: str) -> bool:
-        """Whether the address is meant."""
+        """Return whether the address is meant."""
         given = ip_address(address)
         return given in self.network and not any(given in one for one in self.without)
 
@@ -77,7 +77,7 @@ class Peer:
     block: Block | None = None
 
     def holds(self, namespace: str, other: NetworkPeer) -> bool:
-        """Whether `other` is meant by a policy of this namespace."""
+        """Return whether `other` is meant by a policy of this namespace."""
         if self.block is not None:
             return self.block.holds(other.address)
         if not other.namespace or not selects(self.pods or (), other.labels):
@@ -98,7 +98,7 @@ class Port:
     last: int | None = None
 
     def holds(self, target: NetworkPeer, protocol: str, port: int) -> bool:
-        """Whether this port of the target is meant."""
+        """Return whether this port of the target is meant."""
         if protocol != self.protocol or self.port is None:
             return protocol == self.protocol
         first = target.ports.get((protocol, self.port)) if isinstance(self.port, str) else self.port
@@ -124,13 +124,13 @@ class NetworkPolicy:
     egress: tuple[PolicyRule, ...] | None
 
     def selects(self, pod: NetworkPeer) -> bool:
-        """Whether it is about this pod."""
+        """Return whether it is about this pod."""
         return pod.namespace == self.namespace and selects(self.pods, pod.labels)
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a connection may be made, and which policies said so for either side."""
+    """A judgement of a connection: that it may be made or not, and which policies said so for either side."""
 
     allowed: bool
     reason: str
@@ -139,7 +139,7 @@ class Verdict:
 def may_connect(
     policies: Sequence[NetworkPolicy], source: NetworkPeer, target: NetworkPeer, protocol: str, port: int
 ) -> Verdict:
-    """Whether `source` may connect to this port of `target`. A pod may always connect to itself."""
+    """Return whether `source` may connect to this port of `target`. A pod may always connect to itself."""
     if source.namespace and (source.namespace, source.name) == (target.namespace, target.name):
         return Verdict(True, f"{source.namespace}/{source.name} is itself")
     out = _direction(policies, source, target, "egress", (target, protocol, port))
@@ -171,7 +171,7 @@ def _applies(rule: PolicyRule, namespace: str, other: NetworkPeer, to: tuple[Net
 
 
 def selects(selector: Selector, labels: Mapping[str, str]) -> bool:
-    """Whether these labels meet every condition."""
+    """Return whether these labels meet every condition."""
     return all(requirement.holds(labels) for requirement in selector)
 
 

@@ -19,5 +19,5 @@ def object_identity(document: Mapping[str, Any]) -> str:
 
 
 def is_withdrawn(document: Mapping[str, Any]) -> bool:
-    """Whether the object is being deleted: its demand no longer counts."""
+    """Return whether the object is being deleted: its demand no longer counts."""
     return bool(document.get("metadata", {}).get("deletionTimestamp"))

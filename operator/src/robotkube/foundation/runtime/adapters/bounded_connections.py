@@ -57,7 +57,7 @@ class ConnectionPlaces:
         self._logged_at = float("-inf")
 
     def enter(self, connection: socket.socket, source: str) -> bool:
-        """Whether the connection has got a place."""
+        """Return whether the connection has got a place."""
         with self._lock:
             own = self._sources.get(source, {})
             most = max(self._sources.values(), key=len, default=own)

@@ -137,7 +137,8 @@ class BoundedProcess:
             asked.answer = json.loads(self._line())
             asked.done = True
         except Exception as error:
-            asked.error, asked.done = error, True
+            asked.error = error
+            asked.done = True
             self._begin_again()
 
     def _placed(self, subject: Any) -> tuple[int, str]:
@@ -153,7 +154,8 @@ class BoundedProcess:
 
     def _line(self) -> bytes:
         deadline = time.monotonic() + ANSWER_SECONDS_MAX
-        answer, received = self._process.stdout, self._received
+        answer = self._process.stdout
+        received = self._received
         assert answer is not None
         end = received.find(b"\n")
         while end < 0:

@@ -25,7 +25,8 @@ class KeptConnections(httpx.Client):
 
 
 def _lost_nothing(request: httpx.Request, error: Exception) -> bool:
-    """Whether the server's end just then lost nothing. Who refuses connections, or cannot be reached, is away."""
+    """Return whether the server's end just then lost nothing. Who refuses connections, or cannot be reached, is
+    away."""
     if isinstance(error, httpx.ConnectError):
         return _ended_by_the_other_side(error)
     return isinstance(error, ENDED_MEANWHILE) and request.method in READING

@@ -57,7 +57,7 @@ class ServedCertificate:
         log.info("certificate renewed folder=%s", self._folder)
 
     def _changed_at(self) -> tuple[int, int]:
-        """When the files changed last, in ns since 1970; 0 while one is not there."""
+        """The time at which the files changed last, in ns since 1970; 0 while one is not there."""
         return _changed_at(self._folder / CERTIFICATE), _changed_at(self._folder / KEY)
 
     def _read(self) -> ssl.SSLContext:

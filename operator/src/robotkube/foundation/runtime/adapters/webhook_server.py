@@ -182,7 +182,7 @@ class _Server(ThreadingHTTPServer):
         self._thread.start()
 
     def is_serving(self) -> bool:
-        """Whether it accepts connections."""
+        """Return whether it accepts connections."""
         return self._thread.is_alive()
 
     def stop(self) -> None:
@@ -255,7 +255,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.handle_one_request()
 
     def _next_begins(self) -> bool:
-        """Whether the client sends another request before it was idle for too long."""
+        """Return whether the client sends another request before it was idle for too long."""
         self._incoming.allow(self.server.bounds.idle_seconds, HEAD_BYTES_MAX)
         try:
             return bool(self.rfile.peek(1))  # type: ignore[attr-defined]
@@ -342,7 +342,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(status, json.dumps(document) + "\n", "application/json")
 
     def _forwarded(self, body: bytes) -> bool:
-        """Whether another process has answered this request."""
+        """Return whether another process has answered this request."""
         forward = self.server.answers.forward
         answer = forward(self.command, self.path, self._lower_case_headers(), body) if forward is not None else None
         if answer is not None:

@@ -34,7 +34,8 @@ MOVABLE = "movable"
 
 
 def is_movable(settings: Mapping[str, str]) -> bool:
-    """Whether a release with this ConfigMap could be taken over: by another agent, or by another Node of its own."""
+    """Return whether a release with this ConfigMap could be taken over: by another agent, or by another Node of its
+    own."""
     return settings.get(MOVABLE) == "true" or NODE in settings
 
 
@@ -59,12 +60,12 @@ class Fencing:
 
     @property
     def lost(self) -> bool:
-        """Whether the release was lost: gone, or on another node, after a time without the API server."""
+        """Return whether the release was lost: gone, or on another node, after a time without the API server."""
         return self._lost
 
     @property
     def fenced(self) -> bool:
-        """Whether the process must not act now."""
+        """Return whether the process must not act now."""
         if self._lost:
             return True
         if self._settings is None:
@@ -82,7 +83,7 @@ class Fencing:
 
     @property
     def _was_read(self) -> bool:
-        """Whether the settings were read as late as the last interruption needs it."""
+        """Return whether the settings were read as late as the last interruption needs it."""
         needed = self._needed
         read_at = self._settings.read_at if self._settings is not None else None
         return needed is None or (read_at is not None and read_at >= needed)

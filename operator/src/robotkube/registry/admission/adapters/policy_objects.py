@@ -80,7 +80,7 @@ class PolicyObjects:
         return [watch.complaint for watch in self._watches if watch.complaint]
 
     def intact(self) -> bool:
-        """Whether nothing was seen to be changed since it was written."""
+        """Return whether nothing was seen to be changed since it was written."""
         return not self._touched
 
     def write(self, documents: Sequence[Document]) -> bool:
@@ -118,7 +118,8 @@ class PolicyObjects:
 
     def _put(self, key: Key, document: Document) -> bool:
         kind, name = key
-        path, stands = f"{self._collections[kind]}/{name}", self.read(kind, name)
+        path = f"{self._collections[kind]}/{name}"
+        stands = self.read(kind, name)
         if stands is None:
             query = [("fieldManager", WRITER), ("force", "true")]
             now = self._send("PATCH", path, query, document, APPLY)

@@ -32,7 +32,7 @@ class Place:
 
     @property
     def selector(self) -> dict[str, Any]:
-        """As a namespaceSelector."""
+        """The choice as a namespaceSelector."""
         operator = "NotIn" if self.others else "In"
         expression = {"key": "kubernetes.io/metadata.name", "operator": operator, "values": list(self.names)}
         return {"matchExpressions": [expression]}

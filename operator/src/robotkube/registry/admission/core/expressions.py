@@ -64,7 +64,7 @@ def _images(containers: str, pod: str) -> str:
 
 
 def on_host() -> str:
-    """Whether the pod asks for a way to its machine: its namespaces, its files, its devices."""
+    """Return whether the pod asks for a way to its machine: its namespaces, its files, its devices."""
     pod = "variables.pod"
     shared = " || ".join(f"{pod}.?{name}.orValue(false)" for name in ("hostPID", "hostIPC", "hostNetwork"))
     context = "c.?securityContext"
@@ -77,7 +77,7 @@ def on_host() -> str:
 
 
 def changed(parts: tuple[str, ...]) -> str:
-    """Whether an update changes one of these parts (`spec`, `metadata.labels`)."""
+    """Return whether an update changes one of these parts (`spec`, `metadata.labels`)."""
     return " || ".join(f"object.{_optional(part)} != oldObject.{_optional(part)}" for part in parts)
 
 
@@ -86,9 +86,9 @@ def _optional(part: str) -> str:
 
 
 def only_taken_away() -> str:
-    """Whether an update of a Deployment does nothing but take away what was there: containers, entries of their lists
-    and of the pod's, whole fields, labels and annotations. Nothing comes, no value changes, an image least of all, and
-    what limits the pod stays."""
+    """Return whether an update of a Deployment does nothing but take away what was there: containers, entries of their
+    lists and of the pod's, whole fields, labels and annotations. Nothing comes, no value changes, an image least of
+    all, and what limits the pod stays."""
     container = " && ".join(
         [
             "c.name == o.name",
@@ -112,7 +112,7 @@ def only_taken_away() -> str:
 
 
 def _fewer(new: str, old: str, key: str, otherwise: str) -> str:
-    """Whether every key of one mapping is one of the other, with the same value or `otherwise`."""
+    """Return whether every key of one mapping is one of the other, with the same value or `otherwise`."""
     return f"{new}.all({key}, {key} in {old} && ({new}[{key}] == {old}[{key}] || {otherwise}))"
 
 
@@ -122,12 +122,12 @@ def _fewer_words(place: str) -> str:
 
 
 def _fewer_entries(names: tuple[str, ...], new: str, old: str, key: str) -> str:
-    """Whether the value of `key` is a list, one of `names`, that has only entries which it had before."""
+    """Return whether the value of `key` is a list, one of `names`, that has only entries which it had before."""
     return f"{key} in {texts(names)} && {new}[{key}].all(e, e in {old}[{key}])"
 
 
 def one_of(names: tuple[str, ...]) -> str:
-    """Whether the request's user is one of these."""
+    """Return whether the request's user is one of these."""
     return f"{WRITER} in {texts(names)}"
 
 

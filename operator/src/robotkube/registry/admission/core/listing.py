@@ -69,7 +69,7 @@ def listing(
 
 
 def _stands(current: Mapping[tuple[str, str], ChartVersion | None], version: ChartVersion) -> bool:
-    """Whether main still has the version, and has not withdrawn it."""
+    """Return whether main still has the version, and has not withdrawn it."""
     key = (version.chart, version.version)
     now = current.get(key)
     return key in current and (now is None or now.state != WITHDRAWN)

@@ -238,7 +238,7 @@ def _no_debugging() -> Validation:
 
 
 def _no_host() -> Validation:
-    """From a machine's files there is a way to everything that runs on it."""
+    """The rule about volumes of a machine's files, from which there is a way to everything that runs on it."""
     return Validation(
         f"variables.pod == variables.before || !({on_host()})",
         sentence(

@@ -85,7 +85,7 @@ def _workload(item: Object, domain: Domain, allowed: Allowed) -> Iterator[str]:
 
 
 def is_listed(reference: str, namespace: str, domain: Domain, allowed: Allowed) -> bool:
-    """Whether an image may run in a namespace, by the policies' rules."""
+    """Return whether an image may run in a namespace, by the policies' rules."""
     repository, _, digest = reference.partition("@")
     if not repository or not DIGEST.fullmatch(digest):
         return not (domain.elsewhere or namespace in (*domain.agents, *domain.tests, *domain.of_the_platform))

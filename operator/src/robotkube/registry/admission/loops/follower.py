@@ -104,7 +104,8 @@ class Follower:
     def reasons_not_ready(self) -> Sequence[str]:
         """Why this is not ready: the list is not that of main as it was seen or announced last. Main that cannot be
         read is none: the last list stays, and is the right one as far as is known."""
-        written, tip = self._following.written, self._announced or self._following.tip
+        written = self._following.written
+        tip = self._announced or self._following.tip
         because = f": {self.problem}" if self.problem else ""
         if written is None:
             return [f"no list was written yet{because}"]
@@ -118,7 +119,8 @@ class Follower:
         """What Prometheus reads."""
         written = self._following.written or AllowedVersions()
         listed = {"charts": float(len(written.charts)), "images": float(len(written.verified))}
-        prefix, statistics = "robotkube_admission_", self.statistics
+        prefix = "robotkube_admission_"
+        statistics = self.statistics
         text = "Seconds since the list was last known to be that of the catalogue's main."
         return (
             Series(f"{prefix}listed", "gauge", "Digests that may run.", by_one(listed), ("kind",)),

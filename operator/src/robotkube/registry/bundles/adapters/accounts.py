@@ -1,5 +1,5 @@
-"""As whom a registry is used: the account that was given, or what `docker login`, `podman login` and `helm registry
-login` left in Docker's file."""
+"""Accounts by which a registry is used: the account that was given, or what `docker login`, `podman login` and `helm
+registry login` left in Docker's file."""
 
 from __future__ import annotations
 

@@ -80,7 +80,9 @@ class _Pieces(io.RawIOBase):
     """A blob as a file that is read once, hashed on its way."""
 
     def __init__(self, blob: Blob) -> None:
-        self._pieces, self._piece, self._at = chunks(blob), b"", 0
+        self._pieces = chunks(blob)
+        self._piece = b""
+        self._at = 0
         self.hash = hashlib.sha256()
 
     def read(self, count: int = -1) -> bytes:
@@ -170,7 +172,8 @@ def _parts(path: Path, blobs: Mapping[str, ArchivedBlob], digest: str) -> list[s
 
 
 def _comes_from_elsewhere(layer: Mapping[str, Any]) -> bool:
-    """Whether who copies leaves a layer out, and who pulls fetches it from an address that the manifest names."""
+    """Return whether who copies leaves a layer out, and who pulls fetches it from an address that the manifest
+    names."""
     kind = str(layer.get("mediaType"))
     return bool(layer.get("urls")) or "foreign" in kind or "nondistributable" in kind
 

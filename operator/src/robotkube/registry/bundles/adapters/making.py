@@ -36,7 +36,8 @@ class BundleMaker:
     """A bundle under construction. `version` is the platform's, `prefix` what its charts put before images' names."""
 
     def __init__(self, version: str, prefix: str) -> None:
-        self._version, self._prefix = version, prefix
+        self._version = version
+        self._prefix = prefix
         self._layout = Layout()
         self._items: list[BundleItem] = []
 

@@ -86,6 +86,6 @@ def find_oras() -> str:
 
 
 def _is_final(said: str) -> bool:
-    """Whether the same again would fail again."""
+    """Return whether the same again would fail again."""
     words = ("unauthorized", "denied", "forbidden", "not found", "certificate", "401", "403", "invalid")
     return any(word in said.lower() for word in words)

@@ -92,7 +92,7 @@ class ValidationAhead:
         return []
 
     def settled(self) -> bool:
-        """Whether everything was valid that was taken for it since the last time."""
+        """Return whether everything was valid that was taken for it since the last time."""
         asked, self._asked = self._asked, []
         refused = [one for one in asked if self._problems(one)]
         self._waits = bool(refused)

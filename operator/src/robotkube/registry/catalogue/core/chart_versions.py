@@ -82,13 +82,13 @@ class ChartVersion:
 
     @property
     def reference(self) -> ChartReference:
-        """As trailers name it."""
+        """The version as trailers name it."""
         return ChartReference(self.chart, self.version, self.digest)
 
 
 def is_compared(version: ChartVersion, assurance: str) -> bool:
-    """Whether the images of its releases are compared with those of the entry. One that names none, where nothing has
-    to be verified, may run any."""
+    """Return whether the images of its releases are compared with those of the entry. One that names none, where
+    nothing has to be verified, may run any."""
     return bool(version.image_references) or assurance != "none"
 
 

@@ -69,7 +69,7 @@ class ExpectedTopic:
 
     @property
     def title(self) -> str:
-        """As checks name it."""
+        """The topic as checks name it."""
         return f"{self.medium} {self.direction} {self.topic}"
 
     @property
@@ -78,7 +78,7 @@ class ExpectedTopic:
         return _PATTERN.sub(lambda match: f"suite_{match[0][1:-1]}", self.topic)
 
     def matches(self, topic: str) -> bool:
-        """Whether `topic` is this one, or fits its pattern."""
+        """Return whether `topic` is this one, or fits its pattern."""
         parts = [re.escape(part) for part in _PATTERN.split(self.topic)]
         return re.fullmatch("[^/#]+".join(parts), topic) is not None
 

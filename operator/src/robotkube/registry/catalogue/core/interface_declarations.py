@@ -68,7 +68,7 @@ def _interface(reader: Reader, item: Any, path: str) -> Mapping[str, Any]:
 
 
 def is_template(value: Any) -> bool:
-    """Whether the interface suite fills this for a set of values; what it gives is judged there."""
+    """Return whether the interface suite fills this for a set of values; what it gives is judged there."""
     return isinstance(value, str) and "{{" in value
 
 

@@ -150,7 +150,7 @@ def name_problems(application: Application, tools: Tools, wrong: WrongKeys) -> I
 
 
 def _names_unknown(wrong: WrongKeys) -> bool:
-    """Whether it is unknown which names the templates may use: they come from keys that are wrong."""
+    """Return whether it is unknown which names the templates may use: they come from keys that are wrong."""
     return any(_OF_ALL_TEMPLATES.fullmatch(key) for key in wrong.keys)
 
 

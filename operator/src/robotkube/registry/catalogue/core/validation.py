@@ -48,7 +48,7 @@ class _Readable:
     partly: dict[str, tuple[Application | ChartVersion, WrongKeys]] = field(default_factory=dict)
 
     def is_compared(self, path: str) -> bool:
-        """Whether of a chart version that could be read in part nothing is wrong by which others are judged."""
+        """Return whether of a chart version that could be read in part nothing is wrong by which others are judged."""
         return path in self.partly and not any(map(self.partly[path][1].touch, COMPARED))
 
 

@@ -29,12 +29,12 @@ def version_key(version: str) -> Precedence:
 
 
 def is_range(text: str) -> bool:
-    """Whether `text` is one or more comparators separated by spaces."""
+    """Return whether `text` is one or more comparators separated by spaces."""
     return bool(text.split()) and all(_COMPARATOR.fullmatch(part) for part in text.split())
 
 
 def in_range(version: str, requirement: str) -> bool:
-    """Whether every comparator of `requirement` holds; an empty requirement allows every version."""
+    """Return whether every comparator of `requirement` holds; an empty requirement allows every version."""
     matches = [_COMPARATOR.fullmatch(comparator) for comparator in requirement.split()]
     return all(match and _HOLDS[match[1]](version_key(version), version_key(match[2])) for match in matches)
 

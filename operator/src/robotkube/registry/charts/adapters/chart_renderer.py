@@ -109,7 +109,8 @@ class ChartRenderer:
 
     def _bound(self, process: subprocess.Popen[bytes], answered: threading.Event, late: threading.Event) -> None:
         """Kill a process that needs too much of a processor for one request, or gives no answer in time (`late`)."""
-        deadline, begin = time.monotonic() + self._clock_seconds, _processor_seconds(process.pid)
+        deadline = time.monotonic() + self._clock_seconds
+        begin = _processor_seconds(process.pid)
         pause = self._seconds  # it cannot need more of a processor than has passed
         while not answered.wait(max(min(pause, deadline - time.monotonic()), 0.0)):
             if time.monotonic() >= deadline:

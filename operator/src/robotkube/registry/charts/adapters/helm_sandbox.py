@@ -40,7 +40,7 @@ def instructions(architecture: int, socket_number: int) -> list[tuple[int, int, 
 
 
 def refuse_sockets() -> None:
-    """From now on this process and what it becomes makes no socket; OSError when the kernel refuses the filter."""
+    """Keep this process, and what it becomes, from making sockets; OSError when the kernel refuses the filter."""
     architecture = ARCHITECTURES.get(platform.machine())
     if architecture is None:
         raise OSError(f"no filter for machine {platform.machine()}; known are {', '.join(ARCHITECTURES)}")

@@ -82,7 +82,7 @@ def _node_problems(node: Mapping[str, Any]) -> Iterator[str]:
 
 
 def is_object(node: Mapping[str, Any]) -> bool:
-    """Whether the subschema describes an object."""
+    """Return whether the subschema describes an object."""
     kind = node.get("type")
     return "properties" in node or kind == "object" or (isinstance(kind, list) and "object" in kind)
 
@@ -139,7 +139,8 @@ def _resolved(root: Mapping[str, Any], node: Any, steps_left: int = 10) -> Any:
 
 
 def must_be_given(schema: Mapping[str, Any], path: tuple[str | int, ...], default: Any) -> bool:
-    """Whether the value at `path` is an empty text that stands for "must be given": its parent requires the key."""
+    """Return whether the value at `path` is an empty text that stands for "must be given": its parent requires the
+    key."""
     if default != "" or not path:
         return False
     node: Any = schema

@@ -51,7 +51,7 @@ class TrialResult:
 
     @property
     def passed(self) -> bool:
-        """Whether nothing speaks against the application."""
+        """Return whether nothing speaks against the application."""
         return not self.problems
 
 
@@ -65,7 +65,7 @@ class ApplicationAssessment:
 
     @property
     def assured(self) -> bool:
-        """Whether the statement covers the application as it stands."""
+        """Return whether the statement covers the application as it stands."""
         return not self.problems
 
 

@@ -147,7 +147,7 @@ class _Image:
 
 
 def _is_read(path: str, head: bytes) -> bool:
-    """Whether a tool reads the file of that path and first bytes."""
+    """Return whether a tool reads the file of that path and first bytes."""
     if path in DPKG_FILES or DISTRIBUTION.fullmatch(path):
         return True
     return head == ELF and PROGRAM.fullmatch(path) is not None

@@ -32,7 +32,7 @@ class Docker:
     program: str = "docker"
 
     def has(self, tag: str) -> bool:
-        """Whether the daemon has it."""
+        """Return whether the daemon has it."""
         command = [self.program, "image", "inspect", tag]
         return subprocess.run(command, capture_output=True, check=False, timeout=ASKING_SECONDS_MAX).returncode == 0
 

@@ -68,7 +68,9 @@ class Hashing:
     """A writer that hashes and counts what goes through it."""
 
     def __init__(self, target: IO[bytes]) -> None:
-        self.target, self.hash, self.size = target, hashlib.sha256(), 0
+        self.target = target
+        self.hash = hashlib.sha256()
+        self.size = 0
 
     def write(self, data: bytes) -> int:
         self.hash.update(data)

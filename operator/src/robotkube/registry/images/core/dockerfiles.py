@@ -9,5 +9,5 @@ _OPEN_BASE = re.compile(rf"^\s*ARG\s+{BASE}\s*$", re.MULTILINE | re.IGNORECASE)
 
 
 def wants_base(text: str) -> bool:
-    """Whether the image to build on is to be given: `ARG BASE` without a default."""
+    """Return whether the image to build on is to be given: `ARG BASE` without a default."""
     return _OPEN_BASE.search(text) is not None

@@ -93,7 +93,7 @@ class SubmittedChart:
 
     @property
     def reference(self) -> ChartReference:
-        """As trailers name it."""
+        """The chart as trailers name it."""
         return ChartReference(self.chart, self.version, self.digest)
 
     @property
@@ -103,7 +103,7 @@ class SubmittedChart:
 
     @property
     def artefact(self) -> Artefact:
-        """As evidence names it."""
+        """The chart as evidence names it."""
         return Artefact(self.chart, self.version, self.digest, self.platforms[0])
 
     @property
@@ -221,8 +221,8 @@ def read_entry(text: str, path: str) -> SubmittedChart:
 
 
 def is_published(chart: SubmittedChart, main: Mapping[str, str]) -> bool:
-    """Whether main has the version as verified with this digest and this spec, under the policy that main has now.
-    Its evidence is not checked."""
+    """Return whether main has the version as verified with this digest and this spec, under the policy that main has
+    now. Its evidence is not checked."""
     status, spec = _published(chart.path, main)
     try:
         policy = read_verification_policy(main.get(POLICY, ""), POLICY).digest

@@ -143,7 +143,7 @@ class ApplicationVerification:
         return {path: envelope for path, envelope in signed.items() if tried.files.get(path) != envelope}
 
     def _may_renew(self, name: str, files: Mapping[str, str]) -> bool:
-        """Whether an application that nobody brings now may get a statement."""
+        """Return whether an application that nobody brings now may get a statement."""
         envelope = files.get(statement_path(name))
         if envelope is None:
             return _policy_of_applications(files) != VERIFIED

@@ -89,7 +89,7 @@ class ChangesOfPeople:
             self._judged[pull.number] = (pull.head, self._main.tip, approved_by)
 
     def _decide(self, pull: PullRequest, change: Commit, approved_by: Sequence[str]) -> bool:
-        """Whether there is nothing left to do before head, tip or approvals change."""
+        """Return whether there is nothing left to do before head, tip or approvals change."""
         tried, problems = self._judge(change.changes, change.irregular)
         overlaps = self._main.overlaps(change)
         if problems:

@@ -58,7 +58,7 @@ class ChartInProgress:
 
     @property
     def plainly_wrong(self) -> bool:
-        """Whether a suite that needs no test namespace has not passed: the others need not be tried."""
+        """Return whether a suite that needs no test namespace has not passed: the others need not be tried."""
         return any(self.results[name].outcome != "passed" for name in PLAIN_SUITES if name in self.results)
 
     def startable(self) -> tuple[SuiteRule, ...]:
@@ -68,11 +68,11 @@ class ChartInProgress:
 
     @property
     def passed(self) -> bool:
-        """Whether every suite of the policy passed."""
+        """Return whether every suite of the policy passed."""
         return not self.missing and all(result.outcome == "passed" for result in self.results.values())
 
     def report(self) -> ChartReport:
-        """As the comment shows it."""
+        """The report that the comment shows."""
         return ChartReport(self.artefact, tuple(self._suite(rule) for rule in self.policy.suites), self.evidence)
 
     def _suite(self, rule: SuiteRule) -> SuiteReport:

@@ -348,7 +348,7 @@ class PublicationLoop:
 
 
 def _plainly_wrong(underway: SubmissionInProgress) -> bool:
-    """Whether it will be refused for what needs no test namespace to be seen."""
+    """Return whether it will be refused for what needs no test namespace to be seen."""
     return any(chart.plainly_wrong for chart in underway.charts)
 
 

@@ -92,7 +92,7 @@ class KubernetesOwnNamespaces:
             return
 
     def is_gone(self, namespace: str) -> bool:
-        """Whether there is no such namespace."""
+        """Return whether there is no such namespace."""
         try:
             self._read("GET", f"{NAMESPACES}/{namespace}")
         except KeyError:
@@ -112,7 +112,7 @@ def _this() -> str:
 
 
 def _lives(maker: str) -> bool:
-    """Whether a program may still run: one of another machine is believed until its time is over."""
+    """Return whether a program may still run: one of another machine is believed until its time is over."""
     machine, _, number = maker.rpartition("/")
     if machine != platform.node() or not number.isdecimal():
         return True

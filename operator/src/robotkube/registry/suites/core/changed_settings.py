@@ -95,7 +95,7 @@ def identity(item: Object) -> tuple[str, str]:
 
 
 def moves_pod(before: Sequence[Object], after: Sequence[Object]) -> bool | None:
-    """Whether the pod is another one with the objects `after`; None when they are the same as those before."""
+    """Return whether the pod is another one with the objects `after`; None when they are the same as those before."""
     if list(before) == list(after):
         return None
     return _templates(before) != _templates(after)
@@ -123,7 +123,7 @@ def visible(topics: Topics) -> Topics:
 
 
 def differ(before: Topics, after: Topics) -> bool:
-    """Whether other topics are open with the changed values."""
+    """Return whether other topics are open with the changed values."""
     return {topic.title for topic in before} != {topic.title for topic in after}
 
 

@@ -122,7 +122,7 @@ def _program(word: str) -> str:
 
 
 def hands_over(script: str) -> bool:
-    """Whether the script's last command takes the shell's place (`exec program`), not in the background."""
+    """Return whether the script's last command takes the shell's place (`exec program`), not in the background."""
     words = shlex.shlex(script, posix=True, punctuation_chars="();<>|&\n")
     words.whitespace = " \t\r"
     words.whitespace_split = True

@@ -87,7 +87,7 @@ def contents_of(layers: Iterable[LayerContents]) -> ImageContents:
 
 
 def states_packages(path: str) -> bool:
-    """Whether a file of that path (without a leading slash) states packages."""
+    """Return whether a file of that path (without a leading slash) states packages."""
     return any(pattern.fullmatch(path) for pattern in (DPKG_FILE, WHEEL, EGG))
 
 

@@ -1,4 +1,4 @@
-"""Whether containers grew while they were under traffic, judged by samples of their memory."""
+"""Growth of containers' memory under traffic, judged by samples of their memory."""
 
 from __future__ import annotations
 

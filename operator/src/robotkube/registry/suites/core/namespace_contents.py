@@ -250,7 +250,8 @@ log_type all
 def broker_files(passwords: str, certificate: Pair | None) -> dict[str, str]:
     """The files of a broker; with a certificate it speaks TLS."""
     if certificate is None:
-        listener, more = f"listener {MQTT_PORT}\n", {}
+        listener = f"listener {MQTT_PORT}\n"
+        more = {}
     else:
         files = f"certfile {BROKER_FOLDER}/tls.crt\nkeyfile {BROKER_FOLDER}/tls.key\n"
         listener = f"listener {MQTT_TLS_PORT}\n{files}"
@@ -328,7 +329,7 @@ def database_pod(
 
 
 def mounts_scratch(pod: Mapping[str, Any]) -> bool:
-    """Whether a pod's spec mounts the volume claim `scratch`."""
+    """Return whether a pod's spec mounts the volume claim `scratch`."""
     volumes = pod.get("volumes") or ()
     volume_claims = (volume.get("persistentVolumeClaim") or {} for volume in volumes)
     return any(claim.get("claimName") == SCRATCH_VOLUME_CLAIM for claim in volume_claims)

@@ -97,8 +97,8 @@ def copies(kind: Copied, items: Sequence[Object], namespace: str) -> Iterator[Ob
 
 
 def is_left_behind(item: Object, now_ns: int, lives: Callable[[str], bool]) -> bool:
-    """Whether a namespace is a copy whose maker will not remove it any more: its time is over, or `lives(maker)` says
-    that it has ended."""
+    """Return whether a namespace is a copy whose maker will not remove it any more: its time is over, or `lives(maker)`
+    says that it has ended."""
     metadata = item["metadata"]
     if not metadata["name"].startswith(PREFIX) or (metadata.get("labels") or {}).get(LABEL) != "true":
         return False

@@ -23,7 +23,7 @@ Object = Mapping[str, Any]
 
 
 def deployment_ready(item: Object) -> bool:
-    """Whether the newest pods, and only they, are there and available."""
+    """Return whether the newest pods, and only they, are there and available."""
     status = item.get("status") or {}
     wanted = (item.get("spec") or {}).get("replicas", 1)
     current = status.get("observedGeneration", 0) >= item["metadata"].get("generation", 0)
@@ -32,14 +32,14 @@ def deployment_ready(item: Object) -> bool:
 
 
 def pod_ready(item: Object) -> bool:
-    """Whether the pod's condition Ready is true."""
+    """Return whether the pod's condition Ready is true."""
     conditions = (item.get("status") or {}).get("conditions") or ()
     return any(condition.get("type") == "Ready" and condition.get("status") == "True" for condition in conditions)
 
 
 def pod_hopeless(item: Object) -> bool:
-    """Whether a container waits for what will not come, its image or a Secret that is not there, or ended twice: who
-    ends once may have come too early."""
+    """Return whether a container waits for what will not come, its image or a Secret that is not there, or ended twice:
+    who ends once may have come too early."""
     return any(map(_hopeless, container_statuses(item)))
 
 
@@ -49,7 +49,7 @@ def _hopeless(status: Object) -> bool:
 
 
 def pod_ended(item: Object) -> bool:
-    """Whether all containers have ended for good."""
+    """Return whether all containers have ended for good."""
     return (item.get("status") or {}).get("phase") in ("Succeeded", "Failed")
 
 
@@ -80,7 +80,7 @@ def describe_deployment(item: Object | None, name: str) -> list[str]:
 
 
 def troubled(item: Object) -> bool:
-    """Whether the pod is not ready, or a container of it did not stay what it was started as."""
+    """Return whether the pod is not ready, or a container of it did not stay what it was started as."""
     return not pod_ready(item) or any(status.get("restartCount") for status in container_statuses(item))
 
 

@@ -80,7 +80,7 @@ class SuiteProgress:
 
     @property
     def finished(self) -> bool:
-        """Whether there is a result."""
+        """Return whether there is a result."""
         return self.status == "finished"
 
 

@@ -26,7 +26,7 @@ def ends(before: Sequence[Pod], after: Sequence[Pod]) -> list[str]:
 
 
 def came(before: Sequence[Pod], after: Sequence[Pod]) -> bool:
-    """Whether there are pods, and each of them is a new one; those that go do not count any more."""
+    """Return whether there are pods, and each of them is a new one; those that go do not count any more."""
     present = {_identity(pod) for pod in after if not pod["metadata"].get("deletionTimestamp")}
     return bool(present) and not {_identity(pod) for pod in before} & present
 

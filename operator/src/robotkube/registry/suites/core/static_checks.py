@@ -251,7 +251,7 @@ def plan_problems(without: Rendering, planned: Rendering, plan: str) -> list[str
 
 
 def same_but_plan(rendering: Rendering, other: Rendering) -> bool:
-    """Whether two renderings differ in nothing but the plan's annotation."""
+    """Return whether two renderings differ in nothing but the plan's annotation."""
     return [_unplanned(object_) for object_ in rendering.objects] == [_unplanned(object_) for object_ in other.objects]
 
 

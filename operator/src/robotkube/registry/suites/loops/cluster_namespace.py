@@ -95,7 +95,7 @@ class ClusterTestNamespace:
 
     @property
     def seconds_left(self) -> float:
-        """Until the run's time is over."""
+        """Seconds until the run's time is over."""
         return max(self._deadline - self._clock(), 0.0)
 
     def provide(self, config_maps: Mapping[str, Mapping[str, str]]) -> None:
@@ -302,7 +302,8 @@ class ClusterTestNamespace:
                 DATABASE, settings.database_kind, settings.database_image, settings.database_arguments, self.agent,
                 self.domain_id, tls=issued is not None,
             )  # fmt: skip
-            host, name = self._start(pod), contents.SUITE_DATABASE
+            host = self._start(pod)
+            name = contents.SUITE_DATABASE
             proof = (DATABASE, issued.authority) if issued else ("", "")
             account = SuiteAccount(name, secrets.token_urlsafe(24), host, pod.port, name, *proof)
             who = (administrator["username"], administrator["password"])
@@ -400,7 +401,7 @@ def _pod_end(item: Object, gone: bool) -> PodEnd:
 
 
 def _stop_seconds(item: Object, grace_seconds: float) -> float:
-    """From the request to delete until the last container had ended; 0 when that was not seen."""
+    """Seconds from the request to delete until the last container had ended; 0 when that was not seen."""
     states = [status.get("state") or {} for status in pod_descriptions.container_statuses(item)]
     ends = [state["terminated"]["finishedAt"] for state in states if (state.get("terminated") or {}).get("finishedAt")]
     deletion = item["metadata"].get("deletionTimestamp")

@@ -39,12 +39,12 @@ class CustomSuite:
 
     @property
     def name(self) -> str:
-        """As the policy names it."""
+        """The suite as the policy names it."""
         return self._rule.name
 
     @property
     def version(self) -> str:
-        """As the policy says: the image is a part of the policy, and by that of its digest."""
+        """The version that the policy says: the image is a part of the policy, and by that of its digest."""
         return self._rule.version
 
     def run(self, subject: Subject, test_namespace: SuiteNamespace | None) -> Sequence[Check]:

@@ -103,7 +103,7 @@ class InstallSuite:
         return Check(UPGRADES, False, words, "withdraw that version, or replace another one")
 
     def _replace(self, subject: Subject, before: Installation, test_namespace: SuiteNamespace) -> Installation:
-        """As Argo CD does it: apply the new objects, then delete those that are no more."""
+        """Apply the new objects, then delete those that are no more, as Argo CD does."""
         objects = subject.render(self._first_set(subject, test_namespace).values, subject.artefact.chart)
         after = apply(objects, test_namespace)
         kept = {identity(item) for item in objects}

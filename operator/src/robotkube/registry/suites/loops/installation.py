@@ -32,7 +32,7 @@ class Installation:
 
     @property
     def ready(self) -> bool:
-        """Whether every workload got ready."""
+        """Return whether every workload got ready."""
         return not self.problem
 
 

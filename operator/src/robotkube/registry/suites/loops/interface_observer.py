@@ -206,7 +206,7 @@ class InterfaceObserver:
         return self.ports.messages.type_mismatch(types[0], batch.messages[0])
 
     def _settled(self) -> bool:
-        """Whether the inputs are connected and the outputs are listened to."""
+        """Return whether the inputs are connected and the outputs are listened to."""
         outputs = [topic for topic in self.expected if (topic.medium, topic.direction) == (ROS, OUT)]
         heard = [name for name, source in self._sources.items() if source is not None and source.matched]
         return all(sink.matched for sink in self._sinks.values()) and all(
@@ -214,7 +214,7 @@ class InterfaceObserver:
         )
 
     def _complete(self) -> bool:
-        """Whether everything was seen that can be seen from here."""
+        """Return whether everything was seen that can be seen from here."""
         return all(self._seen(topic) for topic in self.expected)
 
     def _seen(self, topic: ExpectedTopic) -> bool:

@@ -95,7 +95,7 @@ class OwnNamespaceRuns:
 
     @property
     def seconds_left(self) -> float:
-        """Until the time of all runs is over."""
+        """Seconds until the time of all runs is over."""
         return max(self._deadline - self._clock(), 0.0)
 
     def run(self, rule: SuiteRule, suite: Suite, subject: Callable[[str], Subject]) -> SuiteResult | str:

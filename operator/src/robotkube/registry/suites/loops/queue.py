@@ -212,6 +212,6 @@ class SuiteQueue:
 
 
 def _again(known: _Run, request: SuiteRequest) -> bool:
-    """Whether a finished run is done again: it did not pass, and another submission asks."""
+    """Return whether a finished run is done again: it did not pass, and another submission asks."""
     failed = known.result is not None and known.result.outcome != "passed"
     return failed and known.request.attempt != request.attempt

@@ -37,5 +37,5 @@ class OwnNamespaces(Protocol):
         ...
 
     def is_gone(self, namespace: str) -> bool:
-        """Whether there is no such namespace."""
+        """Return whether there is no such namespace."""
         ...

@@ -87,7 +87,7 @@ class PodRun:
 
     @property
     def succeeded(self) -> bool:
-        """Whether it ended with 0."""
+        """Return whether it ended with 0."""
         return self.exit_code == 0
 
 
@@ -124,7 +124,7 @@ class SuiteNamespace(Protocol):
 
     @property
     def seconds_left(self) -> float:
-        """Until the run's time is over."""
+        """Seconds until the run's time is over."""
         ...
 
     def provide(self, config_maps: Mapping[str, Mapping[str, str]]) -> None:
@@ -275,7 +275,7 @@ class Suite(Protocol):
 
     @property
     def name(self) -> str:
-        """As the policy names it."""
+        """The suite as the policy names it."""
         ...
 
     @property
@@ -285,7 +285,7 @@ class Suite(Protocol):
 
     @property
     def needs_namespace(self) -> bool:
-        """Whether it installs or runs something, and so needs a test namespace."""
+        """Return whether it installs or runs something, and so needs a test namespace."""
         ...
 
     def run(self, subject: Subject, test_namespace: SuiteNamespace | None) -> Sequence[Check]:

@@ -45,7 +45,7 @@ class BagTopic:
 
     @property
     def latched(self) -> bool:
-        """Whether its last message waits for late subscribers."""
+        """Return whether its last message waits for late subscribers."""
         return self.durability == "transient_local"
 
 

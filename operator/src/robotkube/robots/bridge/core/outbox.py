@@ -69,7 +69,7 @@ class Outbox:
 
     @property
     def paced(self) -> bool:
-        """Whether a backlog waits that leaves more slowly than it could."""
+        """Return whether a backlog waits that leaves more slowly than it could."""
         return self._pacing.active
 
     def put(self, batch: OutgoingBatch) -> None:

@@ -25,7 +25,7 @@ class Pacing:
         self._reached = self._at = 0.0
 
     def allows(self, born: float, now: float) -> bool:
-        """Whether the first batch that waits may leave; it was put at `born`."""
+        """Return whether the first batch that waits may leave; it was put at `born`."""
         if now - born <= FRESH_SECONDS:
             self.active = False
             return True

@@ -41,15 +41,17 @@ def own_places(agent: Account) -> tuple[str, ...]:
 
 
 def may_anybody(direction: str, topic: str) -> bool:
-    """Whether every agent can be given the right, whatever its name and role: then no agent needs to be asked for."""
+    """Return whether every agent can be given the right, whatever its name and role: then no agent needs to be asked
+    for."""
     if topic in GATEWAY_TOPICS:
         return GATEWAY_TOPICS[topic] == direction
     return direction == IN or topic.startswith(f"/agents/{AGENT}/")
 
 
 def may(agent: Account, direction: str, topic: str) -> bool:
-    """Whether the bridge of an agent can be given the right to send (`out`) or receive (`in`) this ROS topic. One that
-    names any agent (`{agent}`) may go out where the agent's own may; a bridge does not bring in its own that way."""
+    """Return whether the bridge of an agent can be given the right to send (`out`) or receive (`in`) this ROS topic.
+    One that names any agent (`{agent}`) may go out where the agent's own may; a bridge does not bring in its own that
+    way."""
     if topic in GATEWAY_TOPICS:
         return GATEWAY_TOPICS[topic] == direction
     if direction == IN:

@@ -86,12 +86,12 @@ class BridgedTopic:
 
     @property
     def general(self) -> bool:
-        """Whether it stands for one topic per agent."""
+        """Return whether it stands for one topic per agent."""
         return AGENT in self.name
 
     @property
     def retained(self) -> bool:
-        """Whether the broker keeps its last batch for late subscribers."""
+        """Return whether the broker keeps its last batch for late subscribers."""
         return self.durability == "transient_local"
 
     def agent(self, name: str) -> str | None:

@@ -64,7 +64,7 @@ class WaitingBatches:
         return (self._dated or self._undated)[0]
 
     def late(self, now: float) -> bool:
-        """Whether the batch that goes next has a deadline that has passed."""
+        """Return whether the batch that goes next has a deadline that has passed."""
         return bool(self._dated) and now - self._dated[0].born > self._dated[0].deadline_seconds
 
     def take(self) -> OutgoingBatch:

@@ -171,7 +171,7 @@ class Incoming:
 
     @property
     def holding(self) -> bool:
-        """Whether messages wait for a subscription to discover the publisher."""
+        """Return whether messages wait for a subscription to discover the publisher."""
         return self._held is not None
 
     def turn(self, clock_ns: int) -> None:

@@ -62,7 +62,7 @@ class Label:
     points: int = 0
 
     def document(self) -> dict[str, Any]:
-        """As a line of labels.jsonl has it."""
+        """The label as a line of labels.jsonl has it."""
         return asdict(self)
 
 
@@ -76,7 +76,7 @@ class AgentPoses:
     """Frame of the body -> agent."""
 
     def knows(self, frame: str) -> bool:
-        """Whether transforms lead from this frame to somebody's body."""
+        """Return whether transforms lead from this frame to somebody's body."""
         return self.mounts.up_to(frame, list(self.bodies)) is not None
 
     def labels(self, frame: str, stamp: int, settings: LabellingSettings) -> list[Label] | None:

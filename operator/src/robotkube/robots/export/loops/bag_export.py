@@ -59,7 +59,7 @@ class Selection:
     last: int = STAMP_MAX
 
     def has(self, topic: str) -> bool:
-        """Whether the topic is chosen."""
+        """Return whether the topic is chosen."""
         return not self.topics or any(pattern.agent(topic) is not None for pattern in self.topics)
 
 
@@ -165,7 +165,7 @@ class _RecordedTopics:
         self._spans: dict[str, Interval] = {}
 
     def windowed(self, name: str) -> bool:
-        """Whether a topic is one of the document, and no latched one."""
+        """Return whether a topic is one of the document, and no latched one."""
         fitting = (document for pattern, document in self._patterns if pattern.agent(name) is not None)
         return not next(fitting, {"latched": True}).get("latched")
 

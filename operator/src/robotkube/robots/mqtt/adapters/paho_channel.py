@@ -277,7 +277,7 @@ class _Attempt:
 
     @property
     def running(self) -> bool:
-        """Whether the outcome is still open."""
+        """Return whether the outcome is still open."""
         return self._thread.is_alive()
 
     def abandon(self) -> None:

@@ -27,7 +27,7 @@ class SendWindow:
         self._change_at = 0.0
 
     def due(self, now: float) -> bool:
-        """Whether the window may change again; `now` in seconds of any monotonic clock."""
+        """Return whether the window may change again; `now` in seconds of any monotonic clock."""
         return now >= self._change_at
 
     def change(self, now: float, round_trip: float, shortest: float) -> None:

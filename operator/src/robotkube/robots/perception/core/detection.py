@@ -126,7 +126,7 @@ def _whole(fits: Sequence[Fit], criteria: ObjectCriteria) -> Iterator[DetectedOb
 
 
 def _lies_in(box: DetectedObject, part: Sequence[Point], criteria: ObjectCriteria) -> bool:
-    """Whether most of the points are in the box, or as near to it as its own may be."""
+    """Return whether most of the points are in the box, or as near to it as its own may be."""
     sine = 2 * box.pose.quaternion_z * box.pose.quaternion_w
     cosine = 1 - 2 * box.pose.quaternion_z**2
     length, width = ((size + SIZE_TOLERANCE_M) / 2 for size in (criteria.length_m, criteria.width_m))

@@ -27,7 +27,8 @@ AFTER_SECONDS_MAX = 2.0
 WINDOW_SECONDS_MAX = 600.0
 TIMEOUT_SECONDS_DEFAULT, TIMEOUT_SECONDS_MIN, TIMEOUT_SECONDS_MAX = 5.0, 0.1, 60.0
 RETRY_SECONDS_DEFAULT, RETRY_SECONDS_MAX = 600.0, 86_400.0
-PORT_MAX, HOST_LETTERS_MAX = 65_535, 253
+PORT_MAX = 65_535
+HOST_LETTERS_MAX = 253
 
 
 class OperatorReactionSettings(NamedTuple):
@@ -169,7 +170,8 @@ def _operator(item: MappingReader, rule: str) -> ReactionSettings:
     seconds = item.whole_number(
         "lease_seconds", LEASE_SECONDS_MIN, LEASE_SECONDS_MAX, None if lease else LEASE_SECONDS_MIN
     )
-    parameters, application = item.any_mapping("parameters"), item.text("application")
+    parameters = item.any_mapping("parameters")
+    application = item.text("application")
     return OperatorReactionSettings(rule, application, parameters, seconds if lease else None)
 
 

@@ -23,7 +23,8 @@ JOURNAL_BYTES_MAX, LOG_BYTES_MAX = 8 * 1024 * 1024, 16 * 1024 * 1024
 ENTRY_BYTES = 300  # beside the body
 OPEN_SECONDS_MAX = 5.0
 """The longest time for which reactions wait for what a predecessor has left."""
-UNCLAIMED_SECONDS, ENTRY_SECONDS_MAX = 60.0, 86_400
+UNCLAIMED_SECONDS = 60.0
+ENTRY_SECONDS_MAX = 86_400
 WAIT_SECONDS = 1.0
 RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 0.5, 30.0
 MEMORY_ONLY: Mapping[str, Any] = {

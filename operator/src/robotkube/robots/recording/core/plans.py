@@ -47,7 +47,7 @@ class RecordedTopic:
     latched: bool = False
 
     def document(self) -> dict[str, Any]:
-        """As it stands in the recording's document."""
+        """The plan as it stands in the recording's document."""
         return {"type": self.type, "storage": self.storage, **({"latched": True} if self.latched else {})}
 
     def window(self, started: int, stopped: int | None) -> Interval:
@@ -100,7 +100,7 @@ class RecordingCause:
     stopped: int | None = None
 
     def document(self) -> dict[str, Any]:
-        """As it stands in the recording's document."""
+        """The plan as it stands in the recording's document."""
         trigger = self.trigger
         return {
             "event": trigger.id,

@@ -37,7 +37,7 @@ class WriterManifest:
         return {int(life): (parts, head) for life, (parts, head) in before.items()}
 
     def row(self) -> dict[str, Any]:
-        """As a table shows it."""
+        """The manifest as a table shows it."""
         adopted = sum(len(group["entries"]) for part in self.parts for group in part["groups"] if group["adopted"])
         entries = sum(len(group["entries"]) for part in self.parts for group in part["groups"])
         return {

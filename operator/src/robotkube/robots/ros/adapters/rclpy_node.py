@@ -289,13 +289,14 @@ class RosSubscription:
         return taken
 
     def take_timed(self, messages_max: int = 1000) -> tuple[list[tuple[bytes, int]], int | None]:
-        """As `take`, each with the time at which the middleware received it (ns since 1970), and the last one's number
-        in its publisher's sequence; None without a message, or when the middleware does not number them."""
+        """Take as `take` does, each with the time at which the middleware received it (ns since 1970), and the last
+        one's number in its publisher's sequence; None without a message, or when the middleware does not number
+        them."""
         taken: tuple[list[tuple[bytes, int]], int | None] = self._native.take_timed(self._address, messages_max)
         return taken
 
     def take_sent(self, messages_max: int = 1000) -> list[tuple[bytes, int, MessageIdentity]]:
-        """As `take_timed`, each with what tells it from every other message of the topic."""
+        """Take as `take_timed` does, each with what tells it from every other message of the topic."""
         taken = self._native.take_sent(self._address, messages_max)
         return [(data, received, MessageIdentity(sent, number)) for data, received, sent, number in taken]
 

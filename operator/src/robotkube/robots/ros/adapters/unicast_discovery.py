@@ -116,7 +116,8 @@ class UnicastDiscovery:
         own: Callable[[], frozenset[str]] = lambda: addresses_of(socket.gethostname()),
     ) -> None:
         self._first = BASE + OF_DOMAIN * domain
-        self._look, self._own = look, own
+        self._look = look
+        self._own = own
         self._announcements = Announcements([self._first + UNICAST + OF_PARTICIPANT * n for n in range(PARTICIPANTS)])
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="discovery", daemon=True)
@@ -145,7 +146,7 @@ class UnicastDiscovery:
                 self._stopping.wait(backoff(failures, LOOK_SECONDS, LOOK_SECONDS_MAX, random.random))
 
     def _pass_on(self, own: frozenset[str]) -> None:
-        """Until the next look, hear this process's own announcements and send them to peers. What others announce to
+        """Hear, until the next look, this process's own announcements and send them to peers. What others announce to
         the group came by multicast, and needs no help."""
         end = time.monotonic() + LOOK_SECONDS
         with _listening(self._first, own) as heard, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sending:

@@ -13,7 +13,7 @@ _OF_TEXT = "std_msgs/msg/String carries any text"
 
 
 def is_packaged(type_name: str) -> bool:
-    """Whether the packaged images know the type; False for what is none."""
+    """Return whether the packaged images know the type; False for what is none."""
     try:
         return short_name(type_name) in _KNOWN
     except ValueError:

@@ -107,7 +107,8 @@ class BoundedConnection(H11Protocol):
         if self.loop.time() >= kind.told_next:
             reason = f"it has {self.bounds.connections_of_source}; find out what keeps them open"
             log.warning("connections refused count=%d last_source=%s reason=%s", kind.refused, self._source(), reason)
-            kind.refused, kind.told_next = 0, self.loop.time() + REFUSALS_LOGGED_SECONDS
+            kind.refused = 0
+            kind.told_next = self.loop.time() + REFUSALS_LOGGED_SECONDS
 
     def _source(self) -> str:
         return self.client[0] if self.client else ""

@@ -97,7 +97,7 @@ def host_name(host: str) -> str:
 
 
 def _is_address(name: str) -> bool:
-    """Whether it is no name but an address, which nobody can let point elsewhere."""
+    """Return whether it is no name but an address, which nobody can let point elsewhere."""
     try:
         ipaddress.ip_address(name)
     except ValueError:

@@ -92,7 +92,7 @@ class People:
         return group
 
     def may_read(self, request: Request) -> bool:
-        """Whether a request's sender may read."""
+        """Return whether a request's sender may read."""
         try:
             self.check_reading(request)
         except ProblemError:

@@ -81,7 +81,7 @@ class Streams:
         model.listen(self.wakeups.changed)
 
     def has_place(self, source: str) -> bool:
-        """Whether one more stream may begin, for this source."""
+        """Return whether one more stream may begin, for this source."""
         return self.wakeups.count < STREAMS_MAX and self._sources.get(source, 0) < STREAMS_OF_A_SOURCE_MAX
 
     def change(self, version: int) -> tuple[int, str] | None:

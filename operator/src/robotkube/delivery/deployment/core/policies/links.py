@@ -67,7 +67,7 @@ def scope_of(path: str) -> str | None:
 
 
 def covers(consented: str, topic: str) -> bool:
-    """Whether a topic is the one consented to, or one of those."""
+    """Return whether a topic is the one consented to, or one of those."""
     mine, parts = consented.split("/"), topic.split("/")
     return len(mine) == len(parts) and all(one in (AGENT, part) for one, part in zip(mine, parts, strict=True))
 

@@ -48,7 +48,7 @@ class MergePolicy:
 
 
 def _cover(prefixes: Sequence[str], paths: Sequence[str]) -> bool:
-    """Whether each path is one of the prefixes, or below one that is a folder."""
+    """Return whether each path is one of the prefixes, or below one that is a folder."""
     folders = tuple(prefix for prefix in prefixes if prefix.endswith("/"))
     return all(path in prefixes or path.startswith(folders) for path in paths)
 

@@ -58,7 +58,7 @@ class Index:
             self._places = {m: at for m, at in kept if before._releases.get(m) is self._releases.get(m, _NO_RELEASES)}
 
     def answers(self, inputs: Inputs, fleet: Fleet, selector: Selector, occupied: Occupancy) -> bool:
-        """Whether it answers everything as an index of these would."""
+        """Return whether it answers everything as an index of these would."""
         return (
             self.fleet is fleet
             and self.selector is selector
@@ -137,7 +137,7 @@ class Index:
         return self._forbidden[key]
 
     def runs(self, place: str, chart: str) -> bool:
-        """Whether a release of that chart is on the place already."""
+        """Return whether a release of that chart is on the place already."""
         return (place, chart) in self._charts
 
     @cached_property

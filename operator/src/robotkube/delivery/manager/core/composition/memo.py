@@ -353,7 +353,7 @@ def _assigned(known: _KnownContribution | None, index: Index, assignments: Assig
 
 
 def _answered_alike(known: _KnownContribution, index: Index) -> bool:
-    """Whether everything that an expansion looked up has the same answer now."""
+    """Return whether everything that an expansion looked up has the same answer now."""
     expansion = known.contribution.expansion
     for name, kept in expansion.kept:
         if index.kept(expansion.demand, name) != kept:
@@ -392,7 +392,7 @@ def _stays(expansion: Expansion, placements: Sequence[Placement], fleet: Fleet) 
 
 
 def _homes_stay(before: Mapping[str, Release], now: Mapping[str, Release]) -> bool:
-    """Whether the same Nodes are homes for these releases: none that names a Node came, changed or went."""
+    """Return whether the same Nodes are homes for these releases: none that names a Node came, changed or went."""
     if before == now:
         return True
     changed = [releases.get(path) for path in different(before, now) for releases in (before, now)]
@@ -406,7 +406,7 @@ def _surroundings(end: End, index: Index) -> tuple[Agent | None, Agent, frozense
 
 
 def _still_holds(known: _KnownBridge, end: End, index: Index) -> bool:
-    """Whether a bridge is the same in another fleet."""
+    """Return whether a bridge is the same in another fleet."""
     if end[1] not in index.fleet.at or _surroundings(end, index) != known.surroundings:
         return False
     known.fleet = index.fleet

@@ -31,7 +31,7 @@ Publishers = dict[Spot, Publisher]
 
 
 def declares_topics(chart: ChartVersion) -> bool:
-    """Whether the chart's entry says what it opens in ROS."""
+    """Return whether the chart's entry says what it opens in ROS."""
     return any(interface["medium"] == ROS for interface in chart.interfaces)
 
 
@@ -56,7 +56,7 @@ def refuse_too_long(topic: str, whose: str) -> None:
 
 
 def is_one_publishers(topic: str) -> bool:
-    """Whether a second publisher of the topic is refused."""
+    """Return whether a second publisher of the topic is refused."""
     return topic not in SHARED_TOPICS and "{" not in topic
 
 

@@ -42,7 +42,7 @@ class Selector:
         self.schema = schema
 
     def serves(self, inputs: Inputs) -> bool:
-        """Whether it selects for these inputs as for its own."""
+        """Return whether it selects for these inputs as for its own."""
         return (
             self.catalogue is inputs.catalogue
             and self.withheld == inputs.withheld

@@ -87,7 +87,7 @@ class Occupancy:
         return self._releases.get(agent, 0)
 
     def fits(self, agent: str, capacity: Capacity | None, need: Resources) -> bool:
-        """Whether `need` fits beside what is planned; always, where the capacity is not known."""
+        """Return whether `need` fits beside what is planned; always, where the capacity is not known."""
         if capacity is None:
             return True
         total, largest = capacity.total, capacity.largest

@@ -21,7 +21,7 @@ class LinkNeed:
 
     @property
     def binds(self) -> bool:
-        """Whether there can be an agent that cannot have it."""
+        """Return whether there can be an agent that cannot have it."""
         return not may_anybody(self.direction, self.topic)
 
     def obstacle(self, agent: Account) -> str:

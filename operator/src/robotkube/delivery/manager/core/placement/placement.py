@@ -206,7 +206,7 @@ class Fleet:
 
     @property
     def has_borders(self) -> bool:
-        """Whether there are topics that not every agent may hear."""
+        """Return whether there are topics that not every agent may hear."""
         return False
 
     def check_heard(self, topic: str, listener: str) -> None:
@@ -350,7 +350,7 @@ class Circumstances:
         return self.avoided.get(agent.name) or self.avoided.get(agent.place, "") if self.avoided else ""
 
     def allows(self, agent: Agent) -> bool:
-        """Whether nothing of this stands against a place."""
+        """Return whether nothing of this stands against a place."""
         if self.avoids(agent):
             return False
         name = agent.place

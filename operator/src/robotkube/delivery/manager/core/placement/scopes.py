@@ -34,19 +34,19 @@ class Scope:
     applications: frozenset[str] = EVERYTHING
 
     def covers_namespace(self, name: str) -> bool:
-        """Whether tasks of this namespace belong to it."""
+        """Return whether tasks of this namespace belong to it."""
         return _covers(self.namespaces, name)
 
     def covers_agent(self, name: str) -> bool:
-        """Whether releases on this agent belong to it."""
+        """Return whether releases on this agent belong to it."""
         return _covers(self.agents, name)
 
     def covers_application(self, name: str) -> bool:
-        """Whether its tasks may ask for this application."""
+        """Return whether its tasks may ask for this application."""
         return _covers(self.applications, name)
 
     def subset(self, other: Scope) -> bool:
-        """Whether nothing is in it that is not in `other`."""
+        """Return whether nothing is in it that is not in `other`."""
         pairs = zip(self._parts(), other._parts(), strict=True)
         return all(ALL in others or (ALL not in own and own <= others) for own, others in pairs)
 
@@ -61,7 +61,7 @@ class Scope:
 
     @property
     def is_narrow(self) -> bool:
-        """Whether there are agents outside of it."""
+        """Return whether there are agents outside of it."""
         return ALL not in self.agents
 
     def _parts(self) -> tuple[frozenset[str], frozenset[str], frozenset[str]]:
@@ -100,7 +100,7 @@ class Operators:
 
     @property
     def unbounded(self) -> bool:
-        """Whether every task may ask for everything."""
+        """Return whether every task may ask for everything."""
         return not self.declared and ANYTHING.subset(self.manager)
 
     def scope(self, namespaces: Sequence[str]) -> Scope:

@@ -79,8 +79,8 @@ class _Watch:
     what: str
 
     def watched_ns(self, healthy_ns: int, cluster: ClusterHealth) -> int | None:
-        """Since when somebody healthy of each group watches a release that is healthy since then; None when there is
-        nobody in one of them."""
+        """The time since which somebody healthy of each group watches a release that is healthy since then; None when
+        there is nobody in one of them."""
         begin_ns = healthy_ns
         for group in self.watched:
             if not group:

@@ -38,7 +38,7 @@ class Rollout:
         return f"{self.chart} {self.target.version}"
 
     def on_trial(self, trial: Trial) -> bool:
-        """Whether one agent has to succeed before the others: the rule says so, and there are others."""
+        """Return whether one agent has to succeed before the others: the rule says so, and there are others."""
         agents = {release.namespace for release in (*self.behind, *self.updated)}
         return self.rule.canary and len(agents) > 1 and bool(self.behind) and not trial.succeeded(self.rule)
 

@@ -107,15 +107,16 @@ class Watcher:
     lists: bool = False
 
     def watches(self, rules: Iterable[str], agent: str) -> bool:
-        """Whether it watches one of the rules for an agent."""
+        """Return whether it watches one of the rules for an agent."""
         return self.rule in rules and self.is_about(agent)
 
     def is_about(self, agent: str) -> bool:
-        """Whether it watches for the agent of a namespace."""
+        """Return whether it watches for the agent of a namespace."""
         return self.agents is None or agent in self.agents
 
     def hears(self, topic: str, agent: str, name: str) -> bool:
-        """Whether its events about the agent of a namespace, which is `name` in topics, are those of this topic."""
+        """Return whether its events about the agent of a namespace, which is `name` in topics, are those of this
+        topic."""
         try:
             heard = TopicPattern(self.topic).agent(topic)
         except ValueError:

@@ -50,16 +50,16 @@ class Trial:
 
     @property
     def begun(self) -> bool:
-        """Whether the new version is anywhere."""
+        """Return whether the new version is anywhere."""
         return bool(self.good or self.unsettled)
 
     def failed(self, rule: UpdateRule) -> bool:
-        """Whether fewer than the rule's share can still succeed."""
+        """Return whether fewer than the rule's share can still succeed."""
         count = len(self.good) + len(self.bad) + len(self.pending)
         return bool(self.bad) and (count - len(self.bad)) < rule.threshold * count
 
     def succeeded(self, rule: UpdateRule) -> bool:
-        """Whether the rule's share has succeeded."""
+        """Return whether the rule's share has succeeded."""
         count = len(self.good) + len(self.bad) + len(self.pending)
         return bool(self.good) and len(self.good) >= rule.threshold * count
 
@@ -149,8 +149,8 @@ class _Trying:
         return f"must be {' and '.join(terms)}{f' ({unseen})' if unseen else ''}"
 
     def _is_blamed(self, since_ns: int) -> bool:
-        """Whether trouble since then is the update's doing: it began soon after the update, or soon after the agent
-        came back, if the version had never run there."""
+        """Return whether trouble since then is the update's doing: it began soon after the update, or soon after the
+        agent came back, if the version had never run there."""
         key = self.release.key
         rule = self.terms.rule
         measured = self.terms.measure.seconds if self.terms.measure else 0

@@ -71,7 +71,7 @@ def asked_for(plan: Plan, tasks: Mapping[str, TaskDescription]) -> dict[str, str
 
 
 def superseded(asked: Mapping[str, str], documents: Iterable[Mapping[str, Any]]) -> bool:
-    """Whether none of the tasks stands as it was asked for any more."""
+    """Return whether none of the tasks stands as it was asked for any more."""
     now = {
         object_key(d): _answered(object_identity(d), int(d["metadata"].get("generation", 1)))
         for d in documents

@@ -30,7 +30,7 @@ class PlanOutcomeComments:
 
     @property
     def waiting(self) -> bool:
-        """Whether an outcome is to be sent."""
+        """Return whether an outcome is to be sent."""
         return bool(self._unsent)
 
     def observed(self, record: PlanRecord) -> None:

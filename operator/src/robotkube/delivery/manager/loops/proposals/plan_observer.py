@@ -45,7 +45,7 @@ class PlanObserver:
 
     @property
     def waiting(self) -> bool:
-        """Whether a merged plan is not observed yet."""
+        """Return whether a merged plan is not observed yet."""
         return bool(self._watched)
 
     def watch(self, record: PlanRecord) -> None:

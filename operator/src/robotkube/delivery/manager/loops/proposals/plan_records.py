@@ -91,7 +91,7 @@ class PlanRecords:
         return record
 
     def has_merged(self, plan: str) -> bool:
-        """Whether the plan is remembered as one on main."""
+        """Return whether the plan is remembered as one on main."""
         return plan in self._records and self._records[plan].on_main
 
     def committed(self, task: str) -> PlanRecord | None:

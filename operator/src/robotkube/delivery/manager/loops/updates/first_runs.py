@@ -41,8 +41,8 @@ class FirstRuns:
         self._seen = seen
 
     def ran_before(self, release: Release, commit: str, before_ns: int) -> bool:
-        """Whether the release was healthy with its version before a time; `commit` updated it. True also while the
-        forge does not say: what may have run is not taken back."""
+        """Return whether the release was healthy with its version before a time; `commit` updated it. True also while
+        the forge does not say: what may have run is not taken back."""
         seen = self._seen.get((release.key, release.digest))
         if seen is not None and seen < before_ns:
             return True
@@ -67,7 +67,7 @@ class FirstRuns:
 
 
 class FirstHealthy:
-    """When releases were first healthy as main has them, on agents that were not away since."""
+    """The times at which releases were first healthy as main has them, on agents that were not away since."""
 
     def __init__(self) -> None:
         self._first: dict[tuple[str, str, int], int] = {}

@@ -29,7 +29,7 @@ class ProbeQuestions:
 
     @property
     def text(self) -> str:
-        """As the pod gets it."""
+        """The questions as the pod gets them."""
         return json.dumps(asdict(self))
 
 
@@ -58,7 +58,7 @@ class ProbeAnswer:
 
     @property
     def text(self) -> str:
-        """As the pod says it: words are cut where it would not fit."""
+        """The answer as the pod gives it: words are cut where it would not fit."""
         text = json.dumps(asdict(self))
         if len(text.encode()) <= MESSAGE_BYTES_MAX:
             return text

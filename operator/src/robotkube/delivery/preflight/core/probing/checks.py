@@ -64,7 +64,8 @@ def disks(probed: Probed) -> CheckVerdict:
         for what, disk in answer.disks.items():
             share = disk.free / disk.total if disk.total else 0.0
             if share < low:
-                low, least = share, f"; least free: {share:.0%} ({disk.free / GIB:.1f} GiB, {what}) on {name}"
+                low = share
+                least = f"; least free: {share:.0%} ({disk.free / GIB:.1f} GiB, {what}) on {name}"
             if share < FREE_SHARE_MIN.get(what, 0.0) or disk.free < FREE_BYTES_MIN:
                 problems.append(_full(name, what, share, disk.free))
     return CheckVerdict(f"{_asked(probed)} Nodes say how much is free{least}", problems, _unknown(probed))

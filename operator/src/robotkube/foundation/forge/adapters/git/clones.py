@@ -89,7 +89,7 @@ class GitClone:
         return self.commit(objects.commit) if store_objects(self._repository, objects, self.tip) else None
 
     def contains(self, commit: str) -> bool:
-        """Whether `commit` is the branch's tip or one of its ancestors."""
+        """Return whether `commit` is the branch's tip or one of its ancestors."""
         git_commit = self._lookup(commit)
         tip = self.tip
         return tip == commit or (tip != "" and self._repository.descendant_of(tip, git_commit.id))
@@ -307,8 +307,8 @@ def _entry(commit: pygit2.Commit | None, path: str) -> str:
 
 
 def _overlap(path: str, base: pygit2.Tree, tip: pygit2.Tree, head: pygit2.Tree) -> bool:
-    """Whether `tip` and `head` both changed what `base` has at `path`, to something different; or `tip` has made a file
-    of one of the folders above it."""
+    """Return whether `tip` and `head` both changed what `base` has at `path`, to something different; or `tip` has made
+    a file of one of the folders above it."""
     now = _place(tip, path)
     if now not in (_place(base, path), _place(head, path)):
         return True

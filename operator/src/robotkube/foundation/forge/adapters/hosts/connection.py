@@ -59,7 +59,7 @@ class ForgeConnection:
 
 
 def _limited(answer: httpx.Response) -> bool:
-    """Whether GitHub refused for a rate limit: 403, with the number of calls left."""
+    """Return whether GitHub refused for a rate limit: 403, with the number of calls left."""
     return answer.status_code == 403 and answer.headers.get("x-ratelimit-remaining") == "0"
 
 

@@ -52,7 +52,7 @@ class Opening:
         yield from (one for one in self.topics or () if _is_at(one, ROS, direction) and one.matches(name))
 
     def passes(self, name: str, direction: str) -> bool:
-        """Whether it opens the topic, in the ROS graph or at the broker itself."""
+        """Return whether it opens the topic, in the ROS graph or at the broker itself."""
         at_the_broker = (one for one in self.topics or () if _is_at(one, MQTT, direction))
         named = any(one.matches(f"{AT_THE_BROKER}{name}") for one in at_the_broker)
         return named or any(self.has(name, direction))

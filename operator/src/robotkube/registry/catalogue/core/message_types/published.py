@@ -13,7 +13,7 @@ OWN_OUTPUT = "a type of your own may only be that of a ROS output that no input 
 
 
 def only_packaged(images: Collection[str]) -> bool:
-    """Whether all images of a chart are packaged ones, by their names."""
+    """Return whether all images of a chart are packaged ones, by their names."""
     return bool(images) and PACKAGED_IMAGES.issuperset(images)
 
 

@@ -58,8 +58,8 @@ class RegistryAuthentication:
             request.headers[HEADER] = f"Bearer {token.text}"
 
     def learn(self, request: httpx.Request, answer: httpx.Response) -> bool:
-        """Whether the same request may be answered now, after the registry refused it: true once it had said what it
-        wants, and that was not what the request had."""
+        """Return whether the same request may be answered now, after the registry refused it: true once it had said
+        what it wants, and that was not what the request had."""
         challenge = chosen(read_challenges(answer.headers.get_list("WWW-Authenticate")), bool(self._account))
         if challenge is None or not self._is_registry(request):
             return False

@@ -79,7 +79,8 @@ class RegistryConnection:
         when they are other bytes."""
         what = f"blob {digest} of {repository}"
         path = f"{repository}/blobs/{digest}"
-        hashed, size = hashlib.sha256(), 0
+        hashed = hashlib.sha256()
+        size = 0
         try:
             with closing(self._stream(path)) as answer:
                 if answer.status_code != httpx.codes.OK:
@@ -107,7 +108,7 @@ class RegistryConnection:
         return tuple(sorted(listing.get("tags") or ()))
 
     def refuse_replacing(self, repository: str, tag: str, digest: str) -> bool:
-        """Whether `tag` is there already, with `digest`; InputError when it is there with another one."""
+        """Return whether `tag` is there already, with `digest`; InputError when it is there with another one."""
         present = self.manifest(repository, tag)
         if present is not None and sha256(present) != digest:
             raise InputError(

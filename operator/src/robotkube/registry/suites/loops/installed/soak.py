@@ -77,6 +77,6 @@ class Soak:
 
 
 def _needed(expected: Sequence[ExpectedTopic], secrets: set[str]) -> tuple[bool, bool]:
-    """Whether the chart has a broker, and a database; both run already when it has."""
+    """Return whether the chart has a broker, and a database; both run already when it has."""
     media = {topic.medium for topic in expected} | secrets
     return bool(media & {MQTT, BROKER_SECRET}), bool(media & {DATABASE, DATABASE_SECRET})

@@ -1,4 +1,4 @@
-"""Whether the pods of an installed chart stay as they are while a suite looks at them, and what they say when not."""
+"""Steadiness of an installed chart: its pods stay as they are while a suite looks at them, or say what changed."""
 
 from __future__ import annotations
 

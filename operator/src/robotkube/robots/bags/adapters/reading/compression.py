@@ -43,7 +43,7 @@ def unpack_message(kind: str, data: bytes, size_max: int) -> bytes:
 
 
 def is_packed(data: bytes) -> bool:
-    """Whether a message was compressed alone."""
+    """Return whether a message was compressed alone."""
     return data.startswith(_ZSTD_BEGIN)
 
 

@@ -233,7 +233,7 @@ class McapFile:
         return messages
 
     def _by_index(self, chunk: ChunkPlace, numbers: set[int]) -> list[StoredMessage] | None:
-        """Only the wanted messages of a chunk that is not compressed; None when its index does not lead to them."""
+        """The wanted messages alone, of a chunk that is not compressed; None when its index does not lead to them."""
         head = self._read(chunk.start, min(chunk.length, 256))
         try:
             _, _, kind, place, stored = mcap_records.chunk_head(head[mcap_records.RECORD.size :])

@@ -82,7 +82,7 @@ class FileContents:
 
     @property
     def whole(self) -> bool:
-        """Whether every message lies in a chunk that is listed, and every channel is known."""
+        """Return whether every message lies in a chunk that is listed, and every channel is known."""
         expected = self.statistics
         if expected is None or len(self.channels) != expected.channel_count or len(self.chunks) != expected.chunk_count:
             return False
