@@ -20,7 +20,7 @@ from typing import Any
 
 from benchmarks import bridging, pods
 from benchmarks.bags import POSE_TYPE
-from benchmarks.bridging import NaiveDataPath
+from benchmarks.bridging import NaiveBridgePath
 from benchmarks.data_path import DataPath
 from ci import preparing
 from ci.errors import SetUpError
@@ -151,7 +151,7 @@ class PathCosts:
 def path_costs() -> PathCosts:
     """Measure the path of a pose from a vehicle's ROS to the detector, ours and as one writes it first, in turn."""
     poses_per_second = bridging.VEHICLES * POSE_HERTZ
-    costs = [bridging.cpu_percent(kind) for kind in (NaiveDataPath, DataPath)]
+    costs = [bridging.cpu_percent(kind) for kind in (NaiveBridgePath, DataPath)]
     naive, ours = (sum(cost[part] for part in PATH) * 10_000 / poses_per_second for cost in costs)
     return PathCosts(ours, naive)
 

@@ -16,7 +16,7 @@ OURS = "robotkube.robots.bridge"
 COMPONENTS = {"vehicle bridges": ("bridges of the vehicles", 0.6), "broker": ("broker", 0.9)}
 
 
-class NaiveDataPath(DataPath):
+class NaiveBridgePath(DataPath):
     """The vehicles run the naive bridge."""
 
     def _launch(self, component: str, node: int, agent: str, name: str, module: str, *rest: Any) -> pods.Pod:
@@ -32,7 +32,7 @@ def cpu_percent(kind: type[DataPath]) -> dict[str, float]:
 
 def compare() -> list[Comparison]:
     """The vehicles' bridges are what differs; the broker has fewer messages to carry."""
-    naive, ours = cpu_percent(NaiveDataPath), cpu_percent(DataPath)
+    naive, ours = cpu_percent(NaiveBridgePath), cpu_percent(DataPath)
     baseline = "executor, a message each"
     return [
         Comparison(f"{text}, {VEHICLES} x 100 Hz", "% CPU", ours[component], naive[component], ratio_max, baseline)

@@ -50,7 +50,7 @@ WAIT_SECONDS_MAX = 60.0
 
 
 @dataclass(frozen=True)
-class Ages:
+class LinkAges:
     """Ages in ms of one run, by way; `plain` is the baseline."""
 
     vehicle_vehicle: Quantiles
@@ -156,7 +156,7 @@ def _items(topics: Sequence[str]) -> list[dict[str, object]]:
     return [{"name": topic, **kept} for topic in topics]
 
 
-def ages(seconds: float = SECONDS) -> Ages:
+def ages(seconds: float = SECONDS) -> LinkAges:
     """Measure once, in a temporary folder. SetUpError when a pose is lost, since then ages say nothing."""
     with tempfile.TemporaryDirectory(prefix="links-") as name:
         Path(name).chmod(0o755)
@@ -168,7 +168,7 @@ def ages(seconds: float = SECONDS) -> Ages:
             path.close()
 
 
-def _measured(path: LinkPath) -> Ages:
+def _measured(path: LinkPath) -> LinkAges:
     path.begin()
     _until(lambda: all(path.connected(agent) for agent in HEARD), "the bridges connect")
     plain = PlainDelivery(path.broker)
@@ -178,7 +178,7 @@ def _measured(path: LinkPath) -> Ages:
     _until(path.result.exists, f"all {path.count} poses arrive both ways")
     plain.close()
     heard = json.loads(path.result.read_text())
-    return Ages(quantiles(heard[SAID]), quantiles(heard[SEEN]), quantiles(plain.milliseconds))
+    return LinkAges(quantiles(heard[SAID]), quantiles(heard[SEEN]), quantiles(plain.milliseconds))
 
 
 def _until(condition: Callable[[], bool], what: str) -> None:

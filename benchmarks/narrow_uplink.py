@@ -35,7 +35,7 @@ HEALTH_PORT = "ROBOTKUBE_HEALTH_PORT"
 
 
 @dataclass(frozen=True)
-class Ages:
+class UplinkAges:
     """Poses and clouds of one run: published, received, and the age of received ones in ms (10,000: or more)."""
 
     poses_published: int
@@ -102,13 +102,13 @@ def narrow(namespace: str, broker: str, mbit: int, congestion: str) -> None:
             raise SetUpError(f"{' '.join(command)}: {done.stderr.strip()}; it needs root, tc and the kernel's tbf")
 
 
-def ages(kinds: bool, mbit: int = MBIT, seconds: float = SECONDS, congestion: str = CONGESTION) -> Ages:
+def ages(kinds: bool, mbit: int = MBIT, seconds: float = SECONDS, congestion: str = CONGESTION) -> UplinkAges:
     """Measure one way."""
     measured = measure_once(lambda folder: NarrowUplink(folder, kinds, mbit, seconds, congestion))
     published, received, age = measured["published"], measured["received"], measured["age_ms"]
     if not {"pose", "pointcloud"} <= age.keys():
         raise SetUpError(f"nothing arrived: {measured}")
-    return Ages(
+    return UplinkAges(
         published["pose"], received["pose"], age["pose"]["p50"], age["pose"]["p99"],
         published["pointcloud"], received["pointcloud"], age["pointcloud"]["p50"],
         measured["cpu_percent"]["vehicle bridges"],

@@ -21,6 +21,7 @@ CODE = ["operator/src", "operator/tests", "benchmarks", "ci", "scenarios", "gito
 TYPED = ["operator/src/robotkube", "benchmarks", "ci", "scenarios", "gitops"]
 LONGEST_MODULE_LINES = 500
 MODULES_MAX = 15  # of one folder below operator/src
+ROOTS = ("operator/src", "ci", "scenarios", "benchmarks")  # in each of them the name of a class means one thing
 PUBLIC_CLASS = re.compile(r"^class ([A-Za-z]\w*)", re.MULTILINE)
 TESTS = "operator/tests"
 LEFTOVER = re.compile(r"\[(?:attr-defined|call-arg|name-defined)\]$")
@@ -59,8 +60,8 @@ def tracked(*patterns: str) -> list[str]:
 
 def repository_rules() -> list[str]:
     """Rules that no tool knows: no absolute paths of one machine, no registry addresses, no module of more than 500
-    lines, no folder with too many of them, no name of two public classes, no page with lines that do not fit into a
-    window, no core that is not pure, no package outside of the import contracts.
+    lines, no folder with too many of them, no name of two public classes of one tree, no page with lines that do not
+    fit into a window, no core that is not pure, no package outside of the import contracts.
     """
     findings = []
     if (TOP / "operator/__init__.py").exists():
@@ -84,7 +85,9 @@ def repository_rules() -> list[str]:
             findings.append(
                 f"{name}: {lines} lines; a module of more than {LONGEST_MODULE_LINES} is more than one idea"
             )
-    findings += crowded_folders(tracked("operator/src/*.py")) + ambiguous_classes(tracked("operator/src/*.py"))
+    findings += crowded_folders(tracked("operator/src/*.py"))
+    for root in ROOTS:
+        findings += ambiguous_classes(tracked(f"{root}/*.py"))
     findings += long_lines()
     return findings + cores.findings(TOP / "operator/src/robotkube") + boundaries.findings(TOP)
 

@@ -57,7 +57,7 @@ class ComponentLines:
                 self._unready.add(component)
             elif component in self._unready and self._of(component):
                 self._unready.remove(component)
-                self._tell(f"{component}: {self._word(component)} after {self._monotonic() - self._began:.1f} s")
+                self._report(f"{component}: {self._word(component)} after {self._monotonic() - self._began:.1f} s")
 
     def look(self) -> None:
         """Say what hangs, when nothing was said for a while."""
@@ -93,7 +93,7 @@ class ComponentLines:
     def _word(self, component: str) -> str:
         return "done" if all(_succeeded(pod) for pod in self._of(component)) else "ready"
 
-    def _tell(self, line: str) -> None:
+    def _report(self, line: str) -> None:
         self._spoken = self._monotonic()
         self._say(line)
 

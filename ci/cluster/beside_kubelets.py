@@ -59,7 +59,7 @@ class Container:
 
 
 @dataclass(frozen=True)
-class Node:
+class NodeContents:
     """What a node has: its runtime's containers; the kubelet's links (when each was made, by name) and the uids of pods
     with a folder; the ids of sandboxes of which the runtime's CRI service keeps a record."""
 
@@ -83,7 +83,7 @@ class Unknown:
         return GRACE_SECONDS if self.container.started else MAKING_SECONDS
 
 
-def unknown(node: Node) -> tuple[Unknown, ...]:
+def unknown(node: NodeContents) -> tuple[Unknown, ...]:
     """The containers of a node that nobody of the cluster started, or that its kubelet is just about to write down.
     Nothing runs in one that waits."""
     running = [one for one in node.containers if not one.waits]
@@ -97,12 +97,12 @@ def unknown(node: Node) -> tuple[Unknown, ...]:
     return tuple(sorted(strangers, key=lambda one: one.container.key))
 
 
-def _is_started(one: Container, node: Node) -> bool:
+def _is_started(one: Container, node: NodeContents) -> bool:
     """Return whether the kubelet started it. A link that is older is of another container, which had this id before."""
     return one.kind == CONTAINER and node.links.get(one.link, -1) >= one.made_ns
 
 
-def _sandboxes(own: Iterable[Container], started: Iterable[Container], node: Node) -> list[Container]:
+def _sandboxes(own: Iterable[Container], started: Iterable[Container], node: NodeContents) -> list[Container]:
     """The sandboxes that the kubelet made: one with started containers in it is older than all of them."""
     sandboxes = [one for one in own if one.kind == SANDBOX]
     oldest = {one.sandbox: one.made_ns for one in sorted(started, key=lambda one: -one.made_ns)}
@@ -115,7 +115,7 @@ def _sandboxes(own: Iterable[Container], started: Iterable[Container], node: Nod
     ]
 
 
-def _is_recorded(one: Container, node: Node) -> bool:
+def _is_recorded(one: Container, node: NodeContents) -> bool:
     return one.pod_uid in node.pods and one.id in node.recorded
 
 

@@ -24,7 +24,7 @@ SILENT_SECONDS_MAX = 60.0
 
 
 @dataclass(frozen=True)
-class Report:
+class ContainerReport:
     """What a look saw: `strangers` in sentences and why a node was `unseen`, by node; how many nodes were looked at, as
     of when (seconds since 1970), and what keeps the process from writing it to the cluster."""
 
@@ -34,7 +34,7 @@ class Report:
     unseen: Mapping[str, str] = field(default_factory=dict)
     problem: str = ""
 
-    def says(self, other: Report | None) -> bool:
+    def says(self, other: ContainerReport | None) -> bool:
         """Return whether the other one says the same, at whatever time."""
         return other is not None and {**asdict(self), "at": 0} == {**asdict(other), "at": 0}
 
@@ -51,7 +51,7 @@ def start_following(launcher: Launcher) -> Process:
 def status(folders: ClusterFolders, now: float | None = None) -> str:
     """What runs beside the kubelets, for people: a sentence, and a line for each stranger and each node that was not
     seen."""
-    report = host_processes.read_report(folders, PROCESS, Report)
+    report = host_processes.read_report(folders, PROCESS, ContainerReport)
     log = folders.log / f"{PROCESS}.log"
     if not recorded(folders, PROCESS):
         return "containers: not looked at: the cluster has no process containers; start it anew"
@@ -60,14 +60,14 @@ def status(folders: ClusterFolders, now: float | None = None) -> str:
     return "\n".join([_sentence(report), *_lines(report, log)])
 
 
-def _sentence(report: Report) -> str:
+def _sentence(report: ContainerReport) -> str:
     count = sum(map(len, report.strangers.values()))
     if count:
         return f"containers: {count} STARTED BESIDE THE KUBELETS of {report.nodes} nodes"
     return f"containers: none beside the kubelets of {report.nodes} nodes"
 
 
-def _lines(report: Report, log: Path) -> list[str]:
+def _lines(report: ContainerReport, log: Path) -> list[str]:
     lines = [f"  {text}" for _, texts in sorted(report.strangers.items()) for text in texts]
     lines += [f"  {node} was not looked at: {why}" for node, why in sorted(report.unseen.items())]
     return lines + ([f"  the Inspections do not say what was seen: {report.problem} ({log})"] if report.problem else [])

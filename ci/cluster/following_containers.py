@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterable
 from typing import Protocol
 
 from ci.cluster.addresses import plan_of
-from ci.cluster.beside_kubelets import Node, Unknown, Watched, message, unknown
-from ci.cluster.containers import PROCESS, REPORT_SECONDS, Report
+from ci.cluster.beside_kubelets import NodeContents, Unknown, Watched, message, unknown
+from ci.cluster.containers import PROCESS, REPORT_SECONDS, ContainerReport
 from ci.cluster.node_containers import NodeContainers
 from ci.cluster.processes import recorded
 from ci.cluster.records import ClusterFolders
@@ -43,11 +43,11 @@ class Nodes(Protocol):
     def names(self) -> Iterable[str]:
         """The nodes that are there now."""
 
-    def read(self, name: str) -> Node:
+    def read(self, name: str) -> NodeContents:
         """What runs on one of them; UnavailableError or OSError when that cannot be said."""
 
 
-class ClusterNodes:
+class ContainersOfNodes:
     """The nodes of a cluster on this machine."""
 
     def __init__(self, folders: ClusterFolders) -> None:
@@ -61,7 +61,7 @@ class ClusterNodes:
         self._alive = {one.name.removesuffix(CONTAINERD): one.alive() for one in runtimes}
         return sorted(self._alive)
 
-    def read(self, name: str) -> Node:
+    def read(self, name: str) -> NodeContents:
         """What runs on it. While its runtime does not, nobody keeps its files: they say nothing."""
         if not self._alive[name]:
             raise UnavailableError("its containerd does not run; start the node again")
@@ -114,11 +114,11 @@ class ClusterReports:
     def __call__(self, looks: Iterable[Look]) -> str:
         """What keeps the looks from being reported; nothing when they were."""
         if self._clock() >= self._again:
-            self._problem = self._told(looks)
+            self._problem = self._reported(looks)
             self._again = self._clock() + AGAIN_SECONDS if self._problem else float("-inf")
         return self._problem
 
-    def _told(self, looks: Iterable[Look]) -> str:
+    def _reported(self, looks: Iterable[Look]) -> str:
         try:
             if self._clock() - self._attended >= ATTEND_SECONDS:
                 self._attended = self._clock()
@@ -134,24 +134,26 @@ class ClusterReports:
         return ""
 
 
-def report_of(looks: Iterable[Look], problem: str, at: float) -> Report:
+def report_of(looks: Iterable[Look], problem: str, at: float) -> ContainerReport:
     """What `status` says of looks."""
     looks = list(looks)
     strangers = {look.node: [one.message for one in look.strangers] for look in looks if look.strangers}
-    return Report(len(looks), at, strangers, {look.node: look.problem for look in looks if look.problem}, problem)
+    return ContainerReport(
+        len(looks), at, strangers, {look.node: look.problem for look in looks if look.problem}, problem
+    )
 
 
 def follow(
     looking: Looking,
     reports: Callable[[Iterable[Look]], str],
-    keep: Callable[[Report], None],
+    keep: Callable[[ContainerReport], None],
     pause: Callable[[], None],
     clock: Callable[[], float],
 ) -> None:
     """Look for ever. `reports` tells the cluster, `keep` writes what `status` reads, when it is something else and now
     and then. What keeps the cluster from being told is logged when it comes and when it is another thing, with the
     strangers that are there."""
-    kept: Report | None = None
+    kept: ContainerReport | None = None
     said = ""
     while True:
         looks = looking.looks()
@@ -163,7 +165,7 @@ def follow(
         pause()
 
 
-def _say(report: Report, before: str) -> str:
+def _say(report: ContainerReport, before: str) -> str:
     """Log what keeps the cluster from being told, unless it was said before; returns what is said now."""
     if not report.problem:
         return ""
@@ -188,7 +190,7 @@ def main() -> None:
     api = api_server(f"https://{plan_of(folders.name).gateway}:{API_PORT}", folders)
     reporter = Reporter(KubernetesInspections(api, NAMESPACE, PROCESS, time.time), time.time_ns)
     follow(
-        Looking(ClusterNodes(folders), time.monotonic),
+        Looking(ContainersOfNodes(folders), time.monotonic),
         ClusterReports(reporter.report, time.monotonic, reporter.attend),
         lambda report: report.write(folders),
         lambda: time.sleep(LOOK_SECONDS),

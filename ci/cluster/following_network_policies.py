@@ -18,7 +18,7 @@ from typing import Any
 from kubernetes.client import ApiClient
 
 from ci.cluster import network_policies
-from ci.cluster.network_policies import REPORT_SECONDS, Report
+from ci.cluster.network_policies import REPORT_SECONDS, PolicyReport
 from ci.cluster.network_rules import AttachedPod, Rulebook
 from ci.cluster.pod_links import RESULTS, NodeLinks, PodLink
 from ci.cluster.processes import Process
@@ -154,7 +154,7 @@ def _peer(link: PodLink, observed: Observed) -> NetworkPeer | None:
     return NetworkPeer(link.name, link.address, link.namespace, pod.labels, namespace, pod.ports)
 
 
-class ClusterNodes:
+class RulesOfNodes:
     """The nodes of a cluster on this machine: what they gave out, and their rules."""
 
     def __init__(self, folders: ClusterFolders, clock: Callable[[], float] = time.monotonic) -> None:
@@ -219,7 +219,10 @@ class ClusterObjects:
 
 
 def follow(
-    following: Following, wait: Callable[[float], bool], report: Callable[[Report], None], clock: Callable[[], float]
+    following: Following,
+    wait: Callable[[float], bool],
+    report: Callable[[PolicyReport], None],
+    clock: Callable[[], float],
 ) -> None:
     """Step for ever. `wait` returns after so many seconds, or at once (True) when an object has changed. Now and then
     everything is read again, whatever was heard of. What keeps it from following is logged when it comes and when it is
@@ -237,7 +240,7 @@ def follow(
             problem = str(error)
         if due or before != (problem, following.policies, following.nodes):
             reported = clock()
-            report(Report(following.policies, following.nodes, reported, problem))
+            report(PolicyReport(following.policies, following.nodes, reported, problem))
         changed = wait(AGAIN_SECONDS if problem else POLL_SECONDS)
 
 
@@ -255,7 +258,7 @@ def main() -> None:
     folders = ClusterFolders(parser.parse_args().name)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
     changed = threading.Event()
-    nodes = ClusterNodes(folders)
+    nodes = RulesOfNodes(folders)
     objects = ClusterObjects(api_client(str(folders.kubeconfig)), changed)
     objects.start()
     following = Following(nodes.links, objects.observe, nodes.apply)

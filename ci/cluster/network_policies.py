@@ -42,7 +42,7 @@ DEFINING = (
 
 
 @dataclass(frozen=True)
-class Report:
+class PolicyReport:
     """What the following process did last: how many policies are at work on how many nodes, as of when (seconds since
     1970), and what keeps it from following."""
 
@@ -119,7 +119,7 @@ def status(folders: ClusterFolders, now: float | None = None) -> str:
         return f"network policies: not enforced (the cluster was started with {VARIABLE}={OFF})"
     if without:
         return f"network policies: NOT enforced on {', '.join(without)}: start the cluster anew"
-    report = host_processes.read_report(folders, PROCESS, Report)
+    report = host_processes.read_report(folders, PROCESS, PolicyReport)
     if report is None or (time.time() if now is None else now) - report.at > SILENT_SECONDS_MAX:
         why = "the process network-policies does not follow"
     else:

@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from ci.cluster.beside_kubelets import Container, Node
+from ci.cluster.beside_kubelets import Container, NodeContents
 from ci.cluster.pod_links import SETTLED_NS
 
 STATE = Path("run/containerd")
@@ -44,10 +44,10 @@ class NodeContainers:
         self._folder = folder
         self._clock_ns = clock_ns
         self._known: dict[Seen, Container] = {}
-        self._node = Node()
+        self._node = NodeContents()
         self._changed: Mapping[str, int] | None = None  # of each folder that says what `_node` has; None: read again
 
-    def read(self) -> Node:
+    def read(self) -> NodeContents:
         """What is there now; OSError when it cannot be read."""
         if self._changed is None or self._changed != {place: _changed_ns(place) for place in self._changed}:
             now = self._clock_ns()
@@ -64,12 +64,12 @@ class NodeContainers:
         for place in RUNNING:
             yield from (str(self._folder / place / namespace) for namespace in _names(self._folder / place))
 
-    def _read(self) -> Node:
+    def _read(self) -> NodeContents:
         """What runs is read first: what the kubelet wrote down of it is there by then."""
         seen = [one for place in RUNNING for one in _running(self._folder / place)]
         containers = {one: self._known.get(one) or _container(one) for one in seen}
         self._known = {one: container for one, container in containers.items() if _is_settled(container)}
-        return Node(
+        return NodeContents(
             tuple(containers.values()),
             links=dict(_links(self._folder / LINKS)),
             pods=frozenset(_names(self._folder / PODS)),

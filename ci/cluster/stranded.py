@@ -28,14 +28,14 @@ from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 
 
 @dataclass(frozen=True)
-class Report:
+class StrandedReport:
     """What would be stranded, and lines for people."""
 
     stranded: tuple[Stranded, ...]
     lines: tuple[str, ...]
 
 
-def stranded_now(folders: ClusterFolders, topology: Topology, images: Sequence[Image]) -> Report:
+def stranded_now(folders: ClusterFolders, topology: Topology, images: Sequence[Image]) -> StrandedReport:
     """Of the cluster that runs; SetUpError when there is none."""
     if not folders.kubeconfig.exists():
         raise SetUpError(f"cluster {folders.name} is not running: start it with make cluster")
@@ -43,7 +43,7 @@ def stranded_now(folders: ClusterFolders, topology: Topology, images: Sequence[I
         return report(api, folders, topology, images)
 
 
-def report(api: Reader, folders: ClusterFolders, topology: Topology, images: Sequence[Image]) -> Report:
+def report(api: Reader, folders: ClusterFolders, topology: Topology, images: Sequence[Image]) -> StrandedReport:
     """The same, as `api` sees the cluster."""
     with tempfile.TemporaryDirectory() as scratch:
         listed = _listing(api, Path(scratch))
@@ -52,7 +52,7 @@ def report(api: Reader, folders: ClusterFolders, topology: Topology, images: Seq
     except RobotKubeError as error:
         raise InputError(f"images of the platform: {error}") from error
     result = stranded(_objects(api), admission.domain_of(admission.agents_of(topology), folders), allowed)
-    return Report(result, (*listed.problems, *map(str, result), counted(result, allowed)))
+    return StrandedReport(result, (*listed.problems, *map(str, result), counted(result, allowed)))
 
 
 def _listing(api: Reader, scratch: Path) -> AllowedVersions:

@@ -28,7 +28,7 @@ from ci.images.built import (
     write_lock,
     write_record,
 )
-from ci.images.catalogue import BASE, BY_NAME, IMAGES, Image, Sources, go_module
+from ci.images.catalogue import BASE, BY_NAME, IMAGES, ImageRecipe, Sources, go_module
 from ci.images.contexts import Copied, assemble, check, key_of
 from ci.images.debian import require_programs
 from ci.images.services import GROUND, SERVICES, Service, entry_points, modules_of, read_sources, starts
@@ -91,7 +91,7 @@ def build_images(
     return built
 
 
-def _choose(names: Sequence[str]) -> tuple[tuple[Image, ...], tuple[Service, ...]]:
+def _choose(names: Sequence[str]) -> tuple[tuple[ImageRecipe, ...], tuple[Service, ...]]:
     """The images to build, and those to cut from one of them; all without names."""
     unknown = sorted(set(names) - set(NAMES))
     if unknown:
@@ -104,14 +104,14 @@ def _choose(names: Sequence[str]) -> tuple[tuple[Image, ...], tuple[Service, ...
     return tuple(image for image in IMAGES if image.name in wanted), cut
 
 
-def key_of_image(image: Image, contents: tuple[Copied, ...], keys: Mapping[str, str]) -> str:
+def key_of_image(image: ImageRecipe, contents: tuple[Copied, ...], keys: Mapping[str, str]) -> str:
     """The key of what the image is made of, the image it stands on included, whose key is in `keys`."""
     ground = debian.key() if image is BASE else keys[image.stands_on] if image.stands_on else ""
     return key_of(contents, normalising.FORMAT, ground, image.dockerfile.read_text(encoding="utf-8"))
 
 
 def _build_all(
-    shop: Workshop, images: Sequence[Image], contents: dict[str, tuple[Copied, ...]], steps: Steps
+    shop: Workshop, images: Sequence[ImageRecipe], contents: dict[str, tuple[Copied, ...]], steps: Steps
 ) -> dict[str, BuiltImage]:
     keys = {BASE.name: key_of_image(BASE, BASE.contents(shop.sources), {})}
     for image in images:
@@ -192,7 +192,7 @@ def _cut(
     result.rename(place)
 
 
-def _provide(bench: Bench, image: Image, contents: tuple[Copied, ...]) -> tuple[Path, bool]:
+def _provide(bench: Bench, image: ImageRecipe, contents: tuple[Copied, ...]) -> tuple[Path, bool]:
     """The folder of the image's archive, and whether it was there already."""
     place = bench.place(image.name)
     if is_built(place) and not bench.shop.fresh:
@@ -214,7 +214,7 @@ def _provide(bench: Bench, image: Image, contents: tuple[Copied, ...]) -> tuple[
     return place, False
 
 
-def _build(bench: Bench, image: Image, tag: str, context: Path, result: Path) -> None:
+def _build(bench: Bench, image: ImageRecipe, tag: str, context: Path, result: Path) -> None:
     """Build in `context`; `result` gets the archive and a record of it."""
     sources = machine.debian_sources()
     lent = machine.lend(bench.work / "lent", *machine.current_environment(), sources)
@@ -232,7 +232,7 @@ def _build(bench: Bench, image: Image, tag: str, context: Path, result: Path) ->
     write_record(result, normal, treatment=treatment, origins=dict(normal.origins))
 
 
-def _known_layers(bench: Bench, image: Image, treatment: str) -> dict[str, normalising.KnownLayer]:
+def _known_layers(bench: Bench, image: ImageRecipe, treatment: str) -> dict[str, normalising.KnownLayer]:
     """Layers that archives of what it stands on and of earlier versions of this image hold, by the builder's digests of
     them."""
     known: dict[str, normalising.KnownLayer] = {}
@@ -248,7 +248,7 @@ def _known_layers(bench: Bench, image: Image, treatment: str) -> dict[str, norma
     return known
 
 
-def _provide_base(bench: Bench, image: Image, sources: Path | None) -> dict[str, str]:
+def _provide_base(bench: Bench, image: ImageRecipe, sources: Path | None) -> dict[str, str]:
     """Make sure that what the Dockerfile stands on is in the storage; returns its build arguments.
 
     Images stand on others in their normal form, so that they share its layers byte by byte.

@@ -42,7 +42,7 @@ def go_module(path: str, folder: str) -> Path:
 
 
 @dataclass(frozen=True)
-class Image:
+class ImageRecipe:
     """An image to build: `name` is also the folder of its Dockerfile; `stands_on`: the image it begins with (or is
     built in), empty: none."""
 
@@ -126,17 +126,17 @@ def _base(_: Sources) -> tuple[Copied, ...]:
     return (*(_script(f"operator/images/base/{name}") for name in scripts), *_licences())
 
 
-BASE = Image("base", _base, stands_on="")
-IMAGES: tuple[Image, ...] = (  # each after the one it stands on
+BASE = ImageRecipe("base", _base, stands_on="")
+IMAGES: tuple[ImageRecipe, ...] = (  # each after the one it stands on
     BASE,
-    Image("pause", lambda _: (_repository("operator/images/pause/pause.c"), *_licences())),
-    Image("mosquitto", lambda _: ()),
-    Image("redis", lambda _: ()),
-    Image("gitea", _gitea),
-    Image("argocd", _argocd),
-    Image("ferretdb", lambda sources: (_program(sources, "ferretdb"), *_licences()), stands_on=""),
-    Image("platform", _platform),
-    Image("suites", _suites, stands_on="platform"),
-    Image("ros", _ros),
+    ImageRecipe("pause", lambda _: (_repository("operator/images/pause/pause.c"), *_licences())),
+    ImageRecipe("mosquitto", lambda _: ()),
+    ImageRecipe("redis", lambda _: ()),
+    ImageRecipe("gitea", _gitea),
+    ImageRecipe("argocd", _argocd),
+    ImageRecipe("ferretdb", lambda sources: (_program(sources, "ferretdb"), *_licences()), stands_on=""),
+    ImageRecipe("platform", _platform),
+    ImageRecipe("suites", _suites, stands_on="platform"),
+    ImageRecipe("ros", _ros),
 )
 BY_NAME = {image.name: image for image in IMAGES}

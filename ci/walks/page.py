@@ -12,7 +12,7 @@ from pathlib import Path
 from ci import markdown
 from ci.architecture import PAGE, purpose
 from ci.walks import pose, submission, task
-from ci.walks.recording import SOURCE, Recorder, Route, Station
+from ci.walks.recording import SOURCE, Route, Station, WalkRecorder
 
 BEGIN, END = "<!-- walks: make reference writes this -->", "<!-- walks end -->"
 
@@ -26,7 +26,7 @@ class Walk:
     story: str
     files_max: int
     route: Callable[[], Route]
-    run: Callable[[Recorder], None]
+    run: Callable[[WalkRecorder], None]
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ WALKS = (
 
 def count(walk: Walk) -> Count:
     """Run a walk and count it."""
-    recorder = Recorder(walk.route())
+    recorder = WalkRecorder(walk.route())
     walk.run(recorder)
     stations = list(recorder.stations.values())
     looked_up = sorted(module_of(path) for path in recorder.files - recorder.stations.keys())

@@ -6,7 +6,7 @@ import struct
 from collections.abc import Mapping
 from typing import Any
 
-from ci.walks.recording import Recorder, Route
+from ci.walks.recording import Route, WalkRecorder
 from robotkube.robots.detector.adapters.ros_topics import RosTopics
 from robotkube.robots.detector.core.settings import read_detector_settings
 from robotkube.robots.detector.loops.detector import EventDetector
@@ -88,7 +88,7 @@ class Handle:
         return 1
 
 
-class Node(RosNode):
+class WalkedNode(RosNode):
     """The node of ROS on that middleware, which gives subscriptions numbers in their order."""
 
     def __init__(self) -> None:
@@ -115,9 +115,9 @@ def route() -> Route:
     return Route(forms, EventRecord, {Middleware: ()}, (Middleware.take_sent,))
 
 
-def run(recorder: Recorder) -> None:
+def run(recorder: WalkRecorder) -> None:
     """Have the first vehicle stand, and record the pose with which the second one is near."""
-    node = Node()
+    node = WalkedNode()
     detector = EventDetector(
         lambda name: RosTopics(node),
         Layouts({POSE: DEFINITION}.__getitem__),

@@ -49,7 +49,7 @@ class Station:
     forms: list[str] = field(default_factory=list)
 
 
-class Recorder:
+class WalkRecorder:
     """Records one run. `stations` are the files of the walk in the order in which a reader meets them, `files` all of
     the platform whose code ran meanwhile, `reached` the forms that were made and the hand-overs that were passed,
     `unknown` the functions of stand-ins that gave the value and work for no adapter."""

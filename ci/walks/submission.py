@@ -13,7 +13,7 @@ from unittest.mock import patch
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
-from ci.walks.recording import Recorder, Route
+from ci.walks.recording import Route, WalkRecorder
 from robotkube.foundation.documents.core.digests import canonical_json
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
 from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter
@@ -134,7 +134,7 @@ def route() -> Route:
     return Route((*submitted, *tried), MemoryCatalogue.push_main, adapters, (*trying, *publishing))
 
 
-def run(recorder: Recorder) -> None:
+def run(recorder: WalkRecorder) -> None:
     """Submit a chart, and record what gate and suite-runner do until it is published."""
     catalogue = MemoryCatalogue(
         {"policies/release.yaml": "assurance: verified\n", "policies/verification.yaml": write_mapping(POLICY)}

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ci.walks.recording import Recorder, Route
+from ci.walks.recording import Route, WalkRecorder
 from robotkube.delivery.deployment.core.releases import Release
 from robotkube.delivery.manager.adapters.argocd import ArgoCDServer
 from robotkube.delivery.manager.adapters.kubernetes_cluster import KubernetesCluster
@@ -56,7 +56,7 @@ def route() -> Route:
     return Route((*asked, *decided), MemoryForge.propose, adapters, (MemoryTasks.tasks, MemoryForge.commit))
 
 
-def run(recorder: Recorder) -> None:
+def run(recorder: WalkRecorder) -> None:
     """Have the manager find nothing to do, and record its step after a task was made."""
     with tempfile.TemporaryDirectory() as folder:
         tasks = MemoryTasks()

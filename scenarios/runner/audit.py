@@ -15,7 +15,7 @@ PEOPLE_MAY_TOUCH = "policies/"
 
 
 @dataclass(frozen=True)
-class Entry:
+class AuditEntry:
     """One commit with its pull request and what is missing, empty when it is complete."""
 
     commit: Commit
@@ -36,14 +36,14 @@ class Entry:
         }
 
 
-def entries(inputs: RunInputs) -> tuple[Entry, ...]:
+def entries(inputs: RunInputs) -> tuple[AuditEntry, ...]:
     """All commits of main but the seed, oldest first."""
     merged = {request.commit: request for request in inputs.pull_requests if request.merged and request.commit}
     commits = sorted((commit for commit in inputs.commits if commit.parents), key=lambda commit: commit.time)
     return tuple(entry(commit, merged.get(commit.sha)) for commit in commits)
 
 
-def complete(inputs: RunInputs, entries: Sequence[Entry]) -> bool | None:
+def complete(inputs: RunInputs, entries: Sequence[AuditEntry]) -> bool | None:
     """Return whether nothing is missing in any commit and every merged plan is a commit of main; None when there is
     nothing."""
     if not entries:
@@ -54,12 +54,12 @@ def complete(inputs: RunInputs, entries: Sequence[Entry]) -> bool | None:
     return plans and one_root and not any(one.missing for one in entries)
 
 
-def entry(commit: Commit, request: PullRequest | None) -> Entry:
+def entry(commit: Commit, request: PullRequest | None) -> AuditEntry:
     """The entry of a commit and the pull request that was merged as it (None: none was)."""
     missing = [] if request else ["merged pull request"]
     if not _of_a_person(commit):
         missing += [f"RobotKube-{name}" for name in _missing_trailers(commit.trailers)]
-    return Entry(commit, request.number if request else None, tuple(missing))
+    return AuditEntry(commit, request.number if request else None, tuple(missing))
 
 
 def _of_a_person(commit: Commit) -> bool:

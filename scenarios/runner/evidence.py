@@ -22,7 +22,7 @@ Verify = Callable[[bytes], VerifiedStatement]
 
 
 @dataclass(frozen=True)
-class Entry:
+class EvidenceEntry:
     """A chart as it ran, the evidence that its releases named, and whether the catalogue has it, signed and
     for this digest."""
 
@@ -38,17 +38,17 @@ class Entry:
         return {**vars(self), "releases": list(self.releases)}
 
 
-def entries(inputs: RunInputs) -> tuple[Entry, ...]:
+def entries(inputs: RunInputs) -> tuple[EvidenceEntry, ...]:
     """One entry per chart, digest and evidence, by name."""
     grouped = groupby(sorted(set(inputs.released)), lambda one: (one.chart, one.version, one.digest, one.evidence))
     return tuple(_entry(list(released), inputs.summaries) for _, released in grouped)
 
 
-def _entry(released: Sequence[ReleasedChart], summaries: Mapping[str, str]) -> Entry:
+def _entry(released: Sequence[ReleasedChart], summaries: Mapping[str, str]) -> EvidenceEntry:
     first = released[0]
     releases = tuple(one.release for one in released)
     named = bool(first.digest) and summaries.get(first.evidence) == first.digest
-    return Entry(first.chart, first.version, first.digest, first.evidence, releases, named)
+    return EvidenceEntry(first.chart, first.version, first.digest, first.evidence, releases, named)
 
 
 def complete(inputs: RunInputs) -> bool | None:

@@ -30,11 +30,11 @@ class Showing:
     """One run that is shown: `tell` writes a line. Until it has `begun`, pods that start are no lines: there are dozens
     of them, and the view counts them."""
 
-    def __init__(self, platform: LivePlatform, tell: Callable[[str], None], shown: screen.Screen | None) -> None:
-        self._tell_line, self._shown = tell, shown
+    def __init__(self, platform: LivePlatform, report: Callable[[str], None], shown: screen.Screen | None) -> None:
+        self._report_line, self._shown = report, shown
         self._started: int | None = None
         self._ending = threading.Event()
-        self._feed = Feed(platform, self._tell, time.time_ns, with_rates=shown is not None)
+        self._feed = Feed(platform, self._report, time.time_ns, with_rates=shown is not None)
         self._feed.tells_pods = False
         self._thread = threading.Thread(target=self._run, name="showing", daemon=True)
 
@@ -61,11 +61,11 @@ class Showing:
                 self._feed.step(STEP_SECONDS)
         except Exception as error:  # of any library: the run goes on, and nobody takes an old picture for a new one
             self._feed.picture.problem = f"{type(error).__name__}: {error}"
-            self._tell_line(f"what happens is not shown any more: {self._feed.picture.problem}")
+            self._report_line(f"what happens is not shown any more: {self._feed.picture.problem}")
         self._feed.stop()
 
-    def _tell(self, moment: Moment) -> None:
-        self._tell_line(f"{since(moment.time, self._started)}  {moment.words}")
+    def _report(self, moment: Moment) -> None:
+        self._report_line(f"{since(moment.time, self._started)}  {moment.words}")
 
 
 def since(moment: int, started: int | None) -> str:
@@ -75,8 +75,8 @@ def since(moment: int, started: int | None) -> str:
     return f"{(moment - started) / NANOSECONDS:9.3f} s"
 
 
-def showing(kubeconfig: Path, tell: Callable[[str], None]) -> Showing:
+def showing(kubeconfig: Path, report: Callable[[str], None]) -> Showing:
     """Shows a run on the cluster of `kubeconfig`."""
     options = {"kubeconfig": str(kubeconfig), "context": None, "manager": "manager"}
     places = {"platform_namespace": PLATFORM, "argocd_namespace": ARGOCD}
-    return Showing(Platform(argparse.Namespace(**options, **places)), tell, screen.screen())
+    return Showing(Platform(argparse.Namespace(**options, **places)), report, screen.screen())

@@ -159,3 +159,10 @@ def test_labels_and_annotations_of_the_chart_are_its_own(helm: Any, values: Obje
 )
 def test_the_schema_refuses_what_is_no_such_value(helm: Any, values: Object, at: str) -> None:
     assert at in helm.refusal(PLATFORM, PROFILE, **values)
+
+
+@pytest.mark.parametrize("chart", sorted(path.parent.name for path in CHARTS.glob("apps/*/values.schema.json")))
+def test_the_chart_of_an_application_takes_none_of_them(helm: Any, chart: str) -> None:
+    given = GIVEN | EVERYWHERE
+    words = helm.refusal(CHARTS / "apps" / chart, PROFILE.parent / f"{chart}.yaml", **given)
+    assert [key for key in given if f"'{key}'" not in words] == []

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import links, rights
-from benchmarks.links import Ages
+from benchmarks.links import LinkAges
 from benchmarks.measuring import Quantiles
 
 
@@ -27,13 +27,13 @@ def record(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 @pytest.mark.parametrize(
     ("ages", "passed"),
     [
-        (Ages(of(85.0), of(160.0), of(5.0)), [True, True]),
-        (Ages(of(130.0), of(229.0), of(5.0)), [False, True]),
-        (Ages(of(1581.0), of(2636.0), of(1715.0)), [True, True]),
+        (LinkAges(of(85.0), of(160.0), of(5.0)), [True, True]),
+        (LinkAges(of(130.0), of(229.0), of(5.0)), [False, True]),
+        (LinkAges(of(1581.0), of(2636.0), of(1715.0)), [True, True]),
     ],
 )
 def test_a_link_has_its_bridges_periods_and_the_machines_minutes(
-    record: Path, monkeypatch: pytest.MonkeyPatch, ages: Ages, passed: list[bool]
+    record: Path, monkeypatch: pytest.MonkeyPatch, ages: LinkAges, passed: list[bool]
 ) -> None:
     monkeypatch.setattr(links, "ages", lambda: ages)
     assert [one.passed for one in links.compare()] == passed

@@ -267,6 +267,15 @@ def test_a_name_of_two_public_classes_is_a_finding(place: Path) -> None:
     assert findings(place) == [f"{plans}, {gate}: class Cause stands for 2 things; give each a name of its own"]
 
 
+def test_names_of_classes_are_compared_in_each_tree_alone(place: Path) -> None:
+    one, other = "ci/cluster/containers.py", "ci/cluster/stranded.py"
+    write(place, "operator/src/robotkube/delivery/manager/core/plans.py", "class Report: ...\n")
+    write(place, one, "class Report: ...\n")
+    assert findings(place) == []
+    write(place, other, "class Report: ...\n")
+    assert findings(place) == [f"{one}, {other}: class Report stands for 2 things; give each a name of its own"]
+
+
 @pytest.mark.parametrize(
     ("line", "counts"),
     [

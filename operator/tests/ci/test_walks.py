@@ -13,7 +13,7 @@ from ci import architecture
 from ci.walks import __main__ as command
 from ci.walks import page, pose, submission
 from ci.walks.page import WALKS, Count, count, counted
-from ci.walks.recording import SOURCE, Recorder, Route
+from ci.walks.recording import SOURCE, Route, WalkRecorder
 from robotkube.registry.publication.loops.verification import ChartVerification
 from robotkube.robots.detector.loops.dispatching import Dispatcher
 
@@ -116,7 +116,7 @@ COPYING = "def make(made, given):\n    return type(given)(given.name)\n"
 
 
 def walked(making: str, end: type) -> list[str]:
-    recorder = Recorder(Route((Given, Made), end))
+    recorder = WalkRecorder(Route((Given, Made), end))
     turn = injected("entered.py", ENTERED, "turn")
     check = injected("checking.py", CHECKING, "check")
     make = functools.partial(injected("making.py", making, "make"), Made)

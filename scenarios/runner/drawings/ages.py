@@ -68,8 +68,8 @@ def _distribution(document: Document, counted: Sequence[tuple[float, ...]]) -> D
     beyond = sum(poses for age, poses in counted if age > longest)
     text = f"{total:.0f} poses of all vehicles; {beyond:.0f} are older than shown, the oldest {_oldest(counted)}"
     title = "Pose age: distribution"
-    told = ", ".join(f"{word} {age:g} ms" for word, age in marks)
-    return Drawing(title, picture("ages", title, f"{text}. {told}.", HEIGHT, parts), (KeyEntry(text),))
+    values = ", ".join(f"{word} {age:g} ms" for word, age in marks)
+    return Drawing(title, picture("ages", title, f"{text}. {values}.", HEIGHT, parts), (KeyEntry(text),))
 
 
 def quantile(counted: Sequence[tuple[float, ...]], share: float) -> float:
@@ -148,8 +148,8 @@ def _over_time(vehicles: Mapping[str, Quantiles]) -> Drawing:
     )
     text = f"each row is {most:.0f} ms high{left_out}"
     title = "Pose age: per vehicle over time"
-    told = ", ".join(f"{agent} {oldest[agent]:.0f} ms" for agent in shown)
-    svg = picture("ages-over-time", title, f"Greatest p99 of a second: {told}.", bottom + BOTTOM, parts)
+    values = ", ".join(f"{agent} {oldest[agent]:.0f} ms" for agent in shown)
+    svg = picture("ages-over-time", title, f"Greatest p99 of a second: {values}.", bottom + BOTTOM, parts)
     return Drawing(title, svg, (KeyEntry("p99 of a second", "area"), KeyEntry("p50", "middle"), KeyEntry(text)))
 
 

@@ -90,5 +90,5 @@ def _description(components: Mapping[str, Sequence[float]], spans: Sequence[Span
         name: sum(value * (end - begin) for value, (begin, end) in zip(values, spans, strict=False))
         for name, values in components.items()
     }
-    told = ", ".join(f"{name} {core_seconds / seconds:.2f}" for name, core_seconds in spent.items())
-    return f"At most {max(total):.2f} cores together. On average: {told}."
+    averages = ", ".join(f"{name} {core_seconds / seconds:.2f}" for name, core_seconds in spent.items())
+    return f"At most {max(total):.2f} cores together. On average: {averages}."

@@ -50,7 +50,7 @@ def coverage(document: Document) -> Iterator[Drawing]:
     text = f"{len(given)} recordings, {gaps} gaps"
     more = [KeyEntry(f"the first {RECORDINGS_MAX} of {len(given)} recordings")] if len(given) > len(shown) else []
     key = (KeyEntry("messages", "recorded"), KeyEntry("window", "window"), KeyEntry(f"gaps: {gaps}", "gap"), *more)
-    yield Drawing(title, picture("recordings", title, f"{text}. {_told(shown)}", bottom + BOTTOM, parts), key)
+    yield Drawing(title, picture("recordings", title, f"{text}. {_words(shown)}", bottom + BOTTOM, parts), key)
 
 
 def _recorded(number: int, one: Document) -> Recorded:
@@ -103,7 +103,7 @@ def _topic(axes: Axes, top: float, topic: Document, span: Span | None, gaps: Seq
         yield rectangle((left, top - 1), width, BAR_HEIGHT + 2, "gap", f"nothing from {begin:.3f} to {end:.3f} s")
 
 
-def _told(shown: Sequence[Recorded]) -> str:
+def _words(shown: Sequence[Recorded]) -> str:
     return " ".join(
         f"{one.title}: "
         + ", ".join(f"{topic['messages']} {topic['what']} of {topic['agent']}" for topic, _, _ in one.topics)

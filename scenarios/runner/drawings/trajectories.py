@@ -234,12 +234,14 @@ def _description(one: Document, tracks: Mapping[str, Track], moments: Sequence[t
     lengths = ", ".join(
         f"{word} {metres:.1f} m at {seconds:.1f} s" for word, seconds, metres in _distances(one, tracks)
     )
-    told = ", ".join(f"{what} at {seconds:.1f} s" for what, seconds in moments)
-    return f"Routes of {listed(list(tracks))}. Distances: {lengths}. Moments: {told}."
+    words = ", ".join(f"{what} at {seconds:.1f} s" for what, seconds in moments)
+    return f"Routes of {listed(list(tracks))}. Distances: {lengths}. Moments: {words}."
 
 
 def _key(tracks: Mapping[str, Track], moments: Sequence[tuple[str, float]], stored: bool) -> tuple[KeyEntry, ...]:
     agents = [KeyEntry(agent, f"s{number}") for number, agent in enumerate(tracks)]
     thick = [KeyEntry("poses that were stored", "stored")] if stored else []
-    told = [KeyEntry(f"{what}, {seconds:.1f} s", mark=str(number)) for number, (what, seconds) in enumerate(moments, 1)]
-    return (*agents, *thick, *told)
+    numbered = [
+        KeyEntry(f"{what}, {seconds:.1f} s", mark=str(number)) for number, (what, seconds) in enumerate(moments, 1)
+    ]
+    return (*agents, *thick, *numbered)

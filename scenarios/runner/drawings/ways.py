@@ -71,11 +71,11 @@ def _gantt(name: str, title: str, bars: Sequence[Bar]) -> Drawing:
         *(part for row, bar in enumerate(bars) for part in _row(axes, row, bar)),
     ]
     path = [bar for bar in bars if bar.critical]
-    told = ", ".join(f"{bar.step} {bar.end - bar.begin:.3f} s" for bar in path)
+    critical = ", ".join(f"{bar.step} {bar.end - bar.begin:.3f} s" for bar in path)
     whole = max((bar.end for bar in path), default=0.0)
     key = [KeyEntry(f"critical path, {whole:.3f} s", "critical")]
     key += [KeyEntry("beside it", "beside")] if len(path) < len(bars) else []
-    return Drawing(title, picture(name, title, f"Critical path: {told}.", bottom + BOTTOM, parts), tuple(key))
+    return Drawing(title, picture(name, title, f"Critical path: {critical}.", bottom + BOTTOM, parts), tuple(key))
 
 
 def _row(axes: Axes, row: int, bar: Bar) -> Iterator[Element]:

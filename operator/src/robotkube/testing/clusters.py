@@ -21,7 +21,7 @@ class MemoryTasks:
     objects: dict[str, dict[str, Any]] = field(default_factory=dict)
     patches: int = 0
     created: int = 0
-    told: list[tuple[str, str, str]] = field(default_factory=list)
+    reports: list[tuple[str, str, str]] = field(default_factory=list)
     namespaces: frozenset[str] = frozenset()
 
     def tasks(self) -> Sequence[Mapping[str, Any]]:
@@ -49,8 +49,8 @@ class MemoryTasks:
     def report_on_task(self, task: Mapping[str, Any], reason: str, text: str) -> None:
         """Remember task, reason and text, once."""
         report = (f"{task['metadata']['namespace']}/{task['metadata']['name']}", reason, text)
-        if report not in self.told:
-            self.told.append(report)
+        if report not in self.reports:
+            self.reports.append(report)
 
     def create(self, namespace: str, name: str, spec: Mapping[str, Any], created: str = "2026-11-21T10:00:00Z") -> None:
         """Create a task."""

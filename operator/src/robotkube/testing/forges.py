@@ -103,7 +103,7 @@ class MemoryForge:
         self.said: dict[int, list[Comment]] = {}
         self.reviewed: dict[int, list[Review]] = {}
         self.decide: Callable[[PullRequest], None] = self.merge
-        self.tell_numbers = True
+        self.gives_numbers = True
         self._comments = 0
 
     def commit(
@@ -122,7 +122,7 @@ class MemoryForge:
         self.said[number] = []
         self.repository.heads[number] = commit
         self.decide(pull)
-        return number if self.tell_numbers else None
+        return number if self.gives_numbers else None
 
     def pull_request(self, number: int) -> PullRequest:
         """One pull request."""

@@ -14,7 +14,7 @@ from ci.cluster.beside_kubelets import (
     MAKING_SECONDS,
     SANDBOX,
     Container,
-    Node,
+    NodeContents,
     Unknown,
     Watched,
     message,
@@ -25,20 +25,20 @@ BOX = Container("k8s.io", "b0" * 32, 10, SANDBOX, "b0" * 32, "vehicle-00", "web-
 WEB = Container(
     "k8s.io", "c1" * 32, 20, CONTAINER, BOX.id, "vehicle-00", "web-1", "uid-web", "web", "/web", started=True
 )
-NODE = Node((BOX, WEB), {WEB.link: 21}, frozenset(["uid-web"]), frozenset([BOX.id]))
+NODE = NodeContents((BOX, WEB), {WEB.link: 21}, frozenset(["uid-web"]), frozenset([BOX.id]))
 
 
-def with_containers(*containers: Container, node: Node = NODE) -> Node:
+def with_containers(*containers: Container, node: NodeContents = NODE) -> NodeContents:
     return replace(node, containers=containers)
 
 
-def keys(node: Node) -> list[str]:
+def keys(node: NodeContents) -> list[str]:
     return [one.container.id for one in unknown(node)]
 
 
 def test_what_the_kubelet_started_is_known() -> None:
     assert unknown(NODE) == ()
-    assert unknown(Node()) == ()
+    assert unknown(NodeContents()) == ()
 
 
 def test_the_kubelets_link_is_named_as_kubernetes_names_it() -> None:
@@ -91,7 +91,7 @@ def test_a_sandbox_that_is_younger_than_its_containers_is_another_one() -> None:
 
 def test_a_sandbox_stays_known_by_any_container_that_was_started_in_it() -> None:
     later = replace(WEB, id="d2" * 32, made_ns=40, name="other")
-    node = Node((BOX, WEB, later), {WEB.link: 21, later.link: 41})
+    node = NodeContents((BOX, WEB, later), {WEB.link: 21, later.link: 41})
     assert unknown(node) == ()
 
 

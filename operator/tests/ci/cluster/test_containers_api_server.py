@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from ci.cluster.addresses import plan_of
-from ci.cluster.beside_kubelets import Container, Node
+from ci.cluster.beside_kubelets import Container, NodeContents
 from ci.cluster.containers import PROCESS
 from ci.cluster.following_containers import NAMESPACE, ClusterReports, Looking, api_server
 from ci.cluster.pki import Authority, control_plane_identities
@@ -88,12 +88,12 @@ class OneNode:
     """A node in memory."""
 
     def __init__(self) -> None:
-        self.node = Node((FOREIGN,))
+        self.node = NodeContents((FOREIGN,))
 
     def names(self) -> tuple[str, ...]:
         return ("vehicle-00",)
 
-    def read(self, name: str) -> Node:
+    def read(self, name: str) -> NodeContents:
         assert name == "vehicle-00"
         return self.node
 
@@ -125,7 +125,7 @@ def test_a_stranger_is_written_as_soon_as_the_platform_is_there(api: Api, own: A
     assert "on node vehicle-00 runs /bin/miner" in stranger["message"]
     assert {one["type"]: one["status"] for one in written["status"]["conditions"]} == {"Seen": "True", "Clean": "False"}
 
-    node.node = Node()
+    node.node = NodeContents()
     assert reported() == ""
     assert api.get(f"{INSPECTIONS}/machine.vehicle-00")["status"]["strangersTotal"] == 0
     events = api.get(EVENTS)["items"]

@@ -12,7 +12,7 @@ import pytest
 
 from ci.cluster import beside_kubelets, containers, host_processes, processes, runc_records
 from ci.cluster.beside_kubelets import GRACE_SECONDS, Container
-from ci.cluster.following_containers import ClusterNodes, Looking
+from ci.cluster.following_containers import ContainersOfNodes, Looking
 from ci.cluster.node_containers import ANNOTATIONS, RUNNING, SPECIFICATION
 from ci.cluster.pki import Authority, Identity
 from robotkube.delivery.inspection.core.strangers import Stranger
@@ -50,8 +50,8 @@ def foreign(node: LoneNode) -> Iterator[LoneNode]:
             end(node, namespace)
 
 
-def read(node: LoneNode) -> beside_kubelets.Node:
-    nodes = ClusterNodes(node.folders)
+def read(node: LoneNode) -> beside_kubelets.NodeContents:
+    nodes = ContainersOfNodes(node.folders)
     assert list(nodes.names()) == [node.node.name]
     return nodes.read(node.node.name)
 
@@ -88,7 +88,7 @@ def named(looking: Looking) -> list[Stranger]:
 
 
 def test_a_container_beside_the_kubelet_is_named_until_it_ends(foreign: LoneNode) -> None:
-    looking = Looking(ClusterNodes(foreign.folders), time.monotonic)
+    looking = Looking(ContainersOfNodes(foreign.folders), time.monotonic)
     assert named(looking) == []
     run(foreign, "default")
     [one] = named(looking)
@@ -101,7 +101,7 @@ def test_a_container_beside_the_kubelet_is_named_until_it_ends(foreign: LoneNode
 
 def test_one_in_the_kubelets_namespace_is_named_when_its_kubelet_does_not_write_it_down(foreign: LoneNode) -> None:
     now = 0.0
-    looking = Looking(ClusterNodes(foreign.folders), lambda: now)
+    looking = Looking(ContainersOfNodes(foreign.folders), lambda: now)
     run(foreign, "k8s.io")
     assert named(looking) == []
     now += GRACE_SECONDS
@@ -127,7 +127,7 @@ def test_what_it_says_of_itself_does_not_make_it_the_kubelets(foreign: LoneNode,
 def test_pods_that_come_and_go_raise_no_alarm(node: LoneNode) -> None:
     """With a container that prepares, one that fails, and an image that is not there: the sandbox stays alone."""
     image = node.reference("probe")
-    looking = Looking(ClusterNodes(node.folders), time.monotonic)
+    looking = Looking(ContainersOfNodes(node.folders), time.monotonic)
     steps = [{"name": "prepare", "image": image, "args": ["read", "/proc/self/comm"]}]
     works = {"initContainers": steps, "containers": [{"name": "works", "image": image}]}
     fails = {"containers": [{"name": "fails", "image": image, "args": ["read", "/nothing"]}]}

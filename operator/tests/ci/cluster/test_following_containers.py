@@ -11,9 +11,16 @@ from pathlib import Path
 import pytest
 
 from ci.cluster import containers
-from ci.cluster.beside_kubelets import GRACE_SECONDS, Container, Node
-from ci.cluster.containers import PROCESS, REPORT_SECONDS, SILENT_SECONDS_MAX, Report
-from ci.cluster.following_containers import AGAIN_SECONDS, LOOK_SECONDS, ClusterNodes, ClusterReports, Looking, follow
+from ci.cluster.beside_kubelets import GRACE_SECONDS, Container, NodeContents
+from ci.cluster.containers import PROCESS, REPORT_SECONDS, SILENT_SECONDS_MAX, ContainerReport
+from ci.cluster.following_containers import (
+    AGAIN_SECONDS,
+    LOOK_SECONDS,
+    ClusterReports,
+    ContainersOfNodes,
+    Looking,
+    follow,
+)
 from ci.cluster.node_containers import RUNNING
 from ci.cluster.processes import Process, start_ticks
 from ci.cluster.records import ClusterFolders
@@ -32,12 +39,12 @@ class TwoNodes:
     """Nodes in memory; one that is None cannot be read."""
 
     def __init__(self) -> None:
-        self.nodes: dict[str, Node | None] = {"vehicle-00": Node(), "vehicle-01": Node()}
+        self.nodes: dict[str, NodeContents | None] = {"vehicle-00": NodeContents(), "vehicle-01": NodeContents()}
 
     def names(self) -> Iterable[str]:
         return list(self.nodes)
 
-    def read(self, name: str) -> Node:
+    def read(self, name: str) -> NodeContents:
         node = self.nodes[name]
         if node is None:
             raise UnavailableError("its containerd does not run")
@@ -69,7 +76,7 @@ class Cluster:
         self.clock = Clock()
         self.nodes = TwoNodes()
         self.inspections = Inspections()
-        self.kept: list[Report] = []
+        self.kept: list[ContainerReport] = []
         self.looking = Looking(self.nodes, self.clock)
         self.reporter = Reporter(self.inspections, self.clock.ns)
         self.reports = ClusterReports(self.reporter.report, self.clock, self.reporter.attend)
@@ -110,13 +117,13 @@ def test_a_stranger_is_named_within_15_seconds_and_gone_after_it_has_ended(
     cluster: Cluster, foreign: Container
 ) -> None:
     cluster.look()
-    cluster.nodes.nodes["vehicle-00"] = Node((foreign,))
+    cluster.nodes.nodes["vehicle-00"] = NodeContents((foreign,))
     cluster.look(NAMED_SECONDS_MAX - LOOK_SECONDS)  # it began right after a look
     assert cluster.names("vehicle-00") == [foreign.key]
     assert cluster.condition("vehicle-00", "Clean") == "False"
     assert cluster.names("vehicle-01") == []
     assert cluster.kept[-1].strangers.keys() == {"vehicle-00"}
-    cluster.nodes.nodes["vehicle-00"] = Node()
+    cluster.nodes.nodes["vehicle-00"] = NodeContents()
     cluster.look()
     assert (cluster.names("vehicle-00"), cluster.kept[-1].strangers) == ([], {})
     assert cluster.inspections.events == [
@@ -128,15 +135,15 @@ def test_a_stranger_is_named_within_15_seconds_and_gone_after_it_has_ended(
 def test_a_pod_that_starts_raises_no_alarm(cluster: Cluster) -> None:
     """Its container runs before its kubelet has written it down."""
     for _ in range(3):
-        cluster.nodes.nodes["vehicle-00"] = Node((CLAIMING,))
+        cluster.nodes.nodes["vehicle-00"] = NodeContents((CLAIMING,))
         cluster.look(GRACE_SECONDS - LOOK_SECONDS)
-        cluster.nodes.nodes["vehicle-00"] = Node()
+        cluster.nodes.nodes["vehicle-00"] = NodeContents()
         cluster.look()
     assert cluster.inspections.events == []
 
 
 def test_of_a_node_that_cannot_be_read_nothing_is_claimed(cluster: Cluster) -> None:
-    cluster.nodes.nodes["vehicle-00"] = Node((FOREIGN,))
+    cluster.nodes.nodes["vehicle-00"] = NodeContents((FOREIGN,))
     cluster.look()
     cluster.nodes.nodes["vehicle-00"] = None
     cluster.look()
@@ -161,7 +168,7 @@ def test_while_the_cluster_takes_no_inspections_it_is_said_once_and_strangers_ar
     cluster: Cluster, caplog: pytest.LogCaptureFixture, failure: Exception, words: str
 ) -> None:
     cluster.inspections.failure = failure
-    cluster.nodes.nodes["vehicle-00"] = Node((FOREIGN,))
+    cluster.nodes.nodes["vehicle-00"] = NodeContents((FOREIGN,))
     cluster.look(20)
     [record] = caplog.records
     assert words in record.getMessage()
@@ -179,7 +186,7 @@ def test_when_admission_changes_what_is_written_that_is_what_is_said(
 ) -> None:
     """Not that the platform is not installed: it is, and somebody has it say that nothing is strange."""
     cluster.inspections.changes = lambda status: {**status, "strangers": [], "strangersTotal": 0}
-    cluster.nodes.nodes["vehicle-00"] = Node((FOREIGN,))
+    cluster.nodes.nodes["vehicle-00"] = NodeContents((FOREIGN,))
     cluster.look(20)
     said = caplog.records[-1].getMessage()
     assert said.startswith(
@@ -214,7 +221,7 @@ def test_the_nodes_are_those_whose_runtimes_are_recorded(folders: ClusterFolders
     record(folders, "vehicle-00.containerd")
     record(folders, "vehicle-01.containerd", alive=False)
     (folders.node("vehicle-00") / RUNNING[0] / "default" / "miner").mkdir(parents=True)
-    nodes = ClusterNodes(folders)
+    nodes = ContainersOfNodes(folders)
     assert list(nodes.names()) == ["vehicle-00", "vehicle-01"]
     assert [one.key for one in nodes.read("vehicle-00").containers] == ["default/miner"]
     with pytest.raises(UnavailableError, match="its containerd does not run; start the node again"):
@@ -225,14 +232,16 @@ def test_status_says_that_nobody_looks(folders: ClusterFolders) -> None:
     assert "has no process containers; start it anew" in containers.status(folders)
     record(folders, PROCESS)
     assert "the process containers does not look" in containers.status(folders)
-    Report(2, 100.0).write(folders)
+    ContainerReport(2, 100.0).write(folders)
     assert containers.status(folders, 100.0 + SILENT_SECONDS_MAX) == "containers: none beside the kubelets of 2 nodes"
     assert "does not look" in containers.status(folders, 101.0 + SILENT_SECONDS_MAX)
 
 
 def test_status_names_strangers_and_what_was_not_seen(folders: ClusterFolders) -> None:
     record(folders, PROCESS)
-    report = Report(2, 100.0, {"vehicle-00": ["container default/miner on node vehicle-00: why"]}, {"cloud-0": "dark"})
+    report = ContainerReport(
+        2, 100.0, {"vehicle-00": ["container default/miner on node vehicle-00: why"]}, {"cloud-0": "dark"}
+    )
     replace(report, problem="nobody answers").write(folders)
     assert containers.status(folders, 100.0).splitlines() == [
         "containers: 1 STARTED BESIDE THE KUBELETS of 2 nodes",

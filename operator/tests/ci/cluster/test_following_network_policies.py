@@ -22,7 +22,7 @@ from ci.cluster.following_network_policies import (
     policy,
     woken,
 )
-from ci.cluster.network_policies import OFF, ON, REPORT_SECONDS, VARIABLE, Report, choice, lacking, rules
+from ci.cluster.network_policies import OFF, ON, REPORT_SECONDS, VARIABLE, PolicyReport, choice, lacking, rules
 from ci.cluster.pod_links import PodLink
 from ci.errors import InputError, SetUpError
 
@@ -213,10 +213,12 @@ class EndedError(Exception):
     """No more waits."""
 
 
-def steps(cluster: Cluster, waits: Iterator[bool], clock: Callable[[], float]) -> tuple[list[float], list[Report]]:
+def steps(
+    cluster: Cluster, waits: Iterator[bool], clock: Callable[[], float]
+) -> tuple[list[float], list[PolicyReport]]:
     """Follow until there are no more waits; how long each was to be, and the reports."""
     asked: list[float] = []
-    reports: list[Report] = []
+    reports: list[PolicyReport] = []
 
     def wait(seconds: float) -> bool:
         asked.append(seconds)
@@ -242,7 +244,7 @@ def test_what_keeps_it_from_following_is_reported_and_logged_once(caplog: pytest
 
     asked, reports = steps(cluster, waits(), lambda: 5.0)
     assert asked == [AGAIN_SECONDS, AGAIN_SECONDS, AGAIN_SECONDS, POLL_SECONDS]
-    assert reports == [Report(0, 0, 5.0, "away"), Report(0, 2, 5.0, "")]
+    assert reports == [PolicyReport(0, 0, 5.0, "away"), PolicyReport(0, 2, 5.0, "")]
     assert [record.message for record in caplog.records] == ["network policies: the rules stay as they are: away"]
 
 

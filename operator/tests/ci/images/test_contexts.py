@@ -8,7 +8,7 @@ import pytest
 
 from ci.images import machine
 from ci.images.building import build_images
-from ci.images.catalogue import BY_NAME, IMAGES, TOP, Image, Sources
+from ci.images.catalogue import BY_NAME, IMAGES, TOP, ImageRecipe, Sources
 from ci.images.contexts import ContextError, Copied, assemble, check, key_of
 from robotkube.registry.images.adapters.buildah import BuildError
 
@@ -103,7 +103,7 @@ def test_every_context_file_of_the_repository_is_there_and_copied(image: object,
 
 
 @pytest.mark.parametrize("image", IMAGES, ids=lambda image: image.name)
-def test_every_image_has_the_licence_and_the_notice(image: Image, tmp_path: Path) -> None:
+def test_every_image_has_the_licence_and_the_notice(image: ImageRecipe, tmp_path: Path) -> None:
     """In its own layer, or in that of the base with which it begins."""
     text = image.dockerfile.read_text()
     stands_on = next(line.split()[1] for line in reversed(text.splitlines()) if line.startswith("FROM "))

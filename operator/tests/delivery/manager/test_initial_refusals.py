@@ -22,7 +22,7 @@ def lines(caplog: pytest.LogCaptureFixture) -> list[dict[str, str]]:
 
 def test_the_same_problem_on_many_agents_is_one_line(caplog: pytest.LogCaptureFixture) -> None:
     refusals = InitialRefusals()
-    refusals.tell({f"initial/relaying/{agent}": NOT_VERIFIED for agent in AGENTS})
+    refusals.report({f"initial/relaying/{agent}": NOT_VERIFIED for agent in AGENTS})
     [line] = lines(caplog)
     assert (line["application"], line["agents"], line["cause"]) == ("relaying", "14", "ApplicationNotVerified")
     assert line["first"] == "vehicle-00,vehicle-01,vehicle-02"
@@ -40,5 +40,5 @@ def test_it_is_written_again_when_it_changes_and_when_it_comes_back(caplog: pyte
         ({"initial/relaying/vehicle-00": EDITED, "initial/other/vehicle-00": EDITED}, 1),
         ({"cloud-0/task": EDITED}, 0),
     ):
-        refusals.tell(outcomes)
+        refusals.report(outcomes)
         assert len(lines(caplog)) == count, outcomes

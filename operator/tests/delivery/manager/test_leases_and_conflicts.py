@@ -106,7 +106,7 @@ def test_a_postponed_task_is_refused_at_its_end_also_by_a_manager_that_starts_an
     narrow.manager = narrow.start()
     narrow.go()
     assert narrow.tasks.condition(waits, "Accepted") == ("False", "QueueTooLong")
-    assert ("cloud-0/waits", "QueueTooLong", message(narrow, waits)) in narrow.tasks.told
+    assert ("cloud-0/waits", "QueueTooLong", message(narrow, waits)) in narrow.tasks.reports
 
 
 def test_a_rejected_task_stays_rejected_until_it_changes(narrow: Stage) -> None:

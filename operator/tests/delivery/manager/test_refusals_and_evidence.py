@@ -65,10 +65,10 @@ def test_what_the_gate_refuses_is_in_the_status_and_reported_once(stage: Stage) 
     stage.forge.decide = lambda pull: stage.forge.refuse(pull, text)
     key = stage.ask()
     stage.go(20)
-    assert stage.tasks.told == [(key, "ProposalRefused", text.strip())]
+    assert stage.tasks.reports == [(key, "ProposalRefused", text.strip())]
     stage.manager = stage.start()
     stage.go(20)
-    assert stage.tasks.told == [(key, "ProposalRefused", text.strip())]
+    assert stage.tasks.reports == [(key, "ProposalRefused", text.strip())]
 
 
 def test_an_event_that_is_refused_holds_nothing(stage: Stage) -> None:
@@ -90,7 +90,7 @@ def test_a_proposal_that_the_forge_itself_refuses_is_reported(stage: Stage) -> N
     key = stage.ask()
     stage.go(8)
     assert stage.tasks.condition(key, "Committed") == ("False", "ProposalRefused")
-    assert stage.tasks.told == [(key, "ProposalRefused", "the forge refused proposal: you may not")]
+    assert stage.tasks.reports == [(key, "ProposalRefused", "the forge refused proposal: you may not")]
 
 
 def edit(stage: Stage, path: str, **status: Any) -> None:
@@ -130,7 +130,7 @@ def test_an_entry_edited_to_verified_without_evidence_is_no_verified_version(sta
     assert stage.tasks.condition(key, "Accepted") == ("False", "NoVerifiedVersion")
     message = stage.tasks.objects[key]["status"]["conditions"][0]["message"]
     assert "event-detector 0.2.2 (verified): no valid evidence: suite static: there is no evidence" in message
-    assert stage.tasks.told == [(key, "NoVerifiedVersion", message)]
+    assert stage.tasks.reports == [(key, "NoVerifiedVersion", message)]
 
 
 def test_a_guarantee_that_must_be_verified_is_not_met_yet(stage: Stage) -> None:
@@ -144,7 +144,7 @@ def test_a_guarantee_that_must_be_verified_is_not_met_yet(stage: Stage) -> None:
     assert stage.tasks.condition(key, "Accepted") == ("False", "GuaranteeNotMet")
     message = stage.tasks.objects[key]["status"]["conditions"][0]["message"]
     assert "stop-time at most 10 s (declared)" in message
-    assert stage.tasks.told == [(key, "GuaranteeNotMet", message)]
+    assert stage.tasks.reports == [(key, "GuaranteeNotMet", message)]
     del wanted["verified"]
     stage.catalogue.push({path: yaml.safe_dump(application)})
     stage.go(wake=CATALOGUE)

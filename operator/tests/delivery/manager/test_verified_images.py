@@ -89,7 +89,7 @@ def test_a_task_that_leads_to_a_foreign_image_is_refused_and_nothing_is_proposed
     )
     assert f"(images: {IMAGE})" in message
     shown("selection", message, "image-by-publisher")
-    assert stage.tasks.told == [(key, "ImageNotVerified", message)]
+    assert stage.tasks.reports == [(key, "ImageNotVerified", message)]
     assert len(stage.forge.pulls) == 1
     assert stage.releases() == before
 

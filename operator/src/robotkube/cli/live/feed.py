@@ -81,18 +81,18 @@ class PlatformPicture:
 
 
 class Feed:
-    """A picture that is kept up to date, and every moment, which `tell` is given as it becomes known.
+    """A picture that is kept up to date, and every moment, which `report` is given as it becomes known.
 
     `with_rates`: detectors are asked for their counters; without a view nobody needs them. `clock_ns`: since 1970.
     """
 
     def __init__(
-        self, platform: LivePlatform, tell: Callable[[Moment], None], clock_ns: Callable[[], int], with_rates: bool
+        self, platform: LivePlatform, report: Callable[[Moment], None], clock_ns: Callable[[], int], with_rates: bool
     ) -> None:
         self.picture = PlatformPicture()
         self.tells_pods = True
         self._platform = platform
-        self._tell = tell
+        self._report = report
         self._clock_ns = clock_ns
         self._with_rates = with_rates
         self._changes: queue.Queue[tuple[str, str, Any, Any, bool]] = queue.Queue(CHANGES_MAX)
@@ -158,13 +158,13 @@ class Feed:
         if kind == "tasks":
             self._busy_until = seen + int(BUSY_AFTER_TASK_SECONDS * SECOND)
             self._plans_due = min(self._plans_due, seen + int(PLANS_SECONDS * SECOND))
-            self._tell_all(_standing(key, now, seen) if is_first else moments.of_task(key, before, now, seen))
+            self._report_all(_standing(key, now, seen) if is_first else moments.of_task(key, before, now, seen))
         elif kind == "pods" and self.tells_pods and not is_first:
-            self._tell_all(moments.of_pod(before, now, seen))
+            self._report_all(moments.of_pod(before, now, seen))
 
-    def _tell_all(self, told: Iterator[Moment]) -> None:
-        for moment in told:
-            self._tell(moment)
+    def _report_all(self, reported: Iterator[Moment]) -> None:
+        for moment in reported:
+            self._report(moment)
 
     def _ask_for_plans(self, now_ns: int) -> None:
         try:
@@ -187,7 +187,7 @@ class Feed:
         known = {step: before[step] for step in moments.STEPS if before and before.get(step)}
         self.picture.plans[plan["plan"]] = {**plan, **known}
         if self._knows_plans:
-            self._tell_all(moments.of_plan(before, plan, now_ns))
+            self._report_all(moments.of_plan(before, plan, now_ns))
 
     def _ask_for_rates(self, now_ns: int) -> None:
         self._rates_due = now_ns + int(RATES_SECONDS * SECOND)
@@ -205,9 +205,9 @@ class Feed:
         silent = [watch.complaint for watch in self._watches.values() if watch.complaint]
         problem = silent[0] if silent else self._manager_problem
         if problem and not self.picture.problem:
-            self._tell(Moment(self._clock_ns(), f"what is shown may be old: {problem}", trouble=True))
+            self._report(Moment(self._clock_ns(), f"what is shown may be old: {problem}", trouble=True))
         elif self.picture.problem and not problem:
-            self._tell(Moment(self._clock_ns(), "what is shown is up to date again"))
+            self._report(Moment(self._clock_ns(), "what is shown is up to date again"))
         self.picture.problem = problem
 
 

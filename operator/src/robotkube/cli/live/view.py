@@ -89,8 +89,8 @@ def _way(one: TaskWay, now_ns: int) -> Text:
 
 def _rates(rates: dict[str, float]) -> Text:
     most = islice(sorted(rates.items(), key=lambda pair: -pair[1]), RATES_MAX)
-    told = ", ".join(f"{topic} {rate:.0f}/s" for topic, rate in most)
-    return Text(printable(f"detectors receive {told}"), style="dim", no_wrap=True, overflow="ellipsis")
+    words = ", ".join(f"{topic} {rate:.0f}/s" for topic, rate in most)
+    return Text(printable(f"detectors receive {words}"), style="dim", no_wrap=True, overflow="ellipsis")
 
 
 def _count(number: int, word: str) -> str:

@@ -41,10 +41,10 @@ def watch_platform(options: argparse.Namespace) -> None:
         raise InputError(f"--seconds {options.seconds:g}: give seconds above 0, at most {WATCH_SECONDS_MAX:.0f}")
     shown = None if options.lines or options.output != "table" else screen.screen()
 
-    def tell(moment: Moment) -> None:
+    def report(moment: Moment) -> None:
         write_moment(moment, options.output, sys.stdout)
 
-    feed = Feed(Platform(options), tell, time.time_ns, with_rates=shown is not None)
+    feed = Feed(Platform(options), report, time.time_ns, with_rates=shown is not None)
     feed.start()
     end = time.monotonic() + options.seconds
     try:

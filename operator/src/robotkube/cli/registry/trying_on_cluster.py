@@ -58,10 +58,10 @@ def _reachable(platform: Platform, stack: contextlib.ExitStack) -> ClusterMeans:
         return ClusterMeans({}, problem=f"your account may not: {'; '.join(missing)}. Ask for these rights, or submit")
     render = Jinja2Templates().render
     token = secrets.token_hex(4)
-    runs = OwnNamespaceRuns(namespaces, _settings(runner), render, token, time.monotonic, time.time_ns, _tell)
+    runs = OwnNamespaceRuns(namespaces, _settings(runner), render, token, time.monotonic, time.time_ns, _report)
     observer = str(runner["images"]["observer"])
     suites: tuple[Suite, ...] = (interface_suite(observer), install_suite(observer, WITHOUT_SOAK))
-    _tell(f"interface and install run on the cluster in {PREFIX}{token}-..., for at most {SECONDS_MAX:.0f} s")
+    _report(f"interface and install run on the cluster in {PREFIX}{token}-..., for at most {SECONDS_MAX:.0f} s")
     return ClusterMeans({suite.name: suite for suite in suites}, stack.enter_context(runs))
 
 
@@ -76,5 +76,5 @@ def _settings(runner: Mapping[str, Any]) -> Callable[[str, int], SuiteNamespaceS
     return settings
 
 
-def _tell(sentence: str) -> None:
+def _report(sentence: str) -> None:
     print(f"robotkube: {sentence}", file=sys.stderr)

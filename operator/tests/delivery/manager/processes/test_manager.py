@@ -177,7 +177,7 @@ def test_an_entry_edited_to_verified_without_evidence_is_no_verified_version(
         text = manager.tasks.objects[KEY]["status"]["conditions"][0]["message"]
         assert "event-detector 0.2.3 (verified): no valid evidence: suite static: there is no evidence" in text
         assert "event-detector 0.2.2 (withdrawn): state withdrawn is not allowed" in text
-        assert manager.tasks.told == [(KEY, "NoVerifiedVersion", text)]
+        assert manager.tasks.reports == [(KEY, "NoVerifiedVersion", text)]
     finally:
         manager.tasks.delete(KEY)
         installation.publish(

@@ -11,7 +11,7 @@ from robotkube.delivery.deployment.core.break_glass import ACCEPTED_PATH, read_a
 from robotkube.errors import DocumentError
 
 UNDONE, ACCEPTED, REPLACED = "undone", "accepted", "replaced"
-TOLD = ("break-glass", "break-glass-not-signed", "changed-by-hand")
+REPORTED = ("break-glass", "break-glass-not-signed", "changed-by-hand")
 """The findings that say what became of their commit."""
 
 
@@ -62,5 +62,5 @@ def _with_accepted(ends: Mapping[str, MadeGood], text: str, commit: str) -> Iter
 def with_ends(findings: Iterable[Finding], ends: Mapping[str, MadeGood]) -> Iterator[Finding]:
     """The findings; those about commits that were made good say so."""
     for one in findings:
-        end = ends.get(one.commit) if one.kind in TOLD else None
+        end = ends.get(one.commit) if one.kind in REPORTED else None
         yield replace(one, what=f"{one.what}; {end.how} by commit {end.commit}") if end else one

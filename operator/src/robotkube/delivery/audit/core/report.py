@@ -135,12 +135,12 @@ def _run(run: ReleaseRun, times: Mapping[str, str], outcomes: Outcomes, verified
 
 def _policies(change: MainChange, policies: PolicyRows) -> Iterator[Row]:
     """The entries because of which a plan changed releases that no task asks for, each once."""
-    told: list[Row] = []
+    once: list[Row] = []
     for pair in change.changed if change.message else ():
         release = pair.after or pair.before
         rows = policies(release, change.commit.id, pair.after is None) if release else ()
-        told += [row for row in rows if row not in told]
-    yield from told
+        once += [row for row in rows if row not in once]
+    yield from once
 
 
 def _change(change: MainChange, merges: Merges, end: MadeGood | None) -> Row:

@@ -144,13 +144,13 @@ def _events(matches: Matches) -> Iterator[Step]:
             values = tuple((name, str(value)) for name, value in cause["values"].items())
             words = ", ".join(f"{name} = {value}" for name, value in values) or "it came"
             yield Step(MESSAGE, cause["topic"], cause["topic"], words, DONE, None, cause["stamp_ms"], details=values)
-    told = dict.fromkeys(matches.events)
+    known = dict.fromkeys(matches.events)
     for key, event in matches.events.items():
         yield _event(key, event, next((t for t in matches.tasks.values() if t["event"]["id"] == key), None))
     for task in matches.tasks.values():
         event = task["event"]
-        if event["id"] and event["id"] not in told:
-            told[event["id"]] = None
+        if event["id"] and event["id"] not in known:
+            known[event["id"]] = None
             text = f"{event['rule']}: {task['reason']}"
             yield Step(EVENT, event["id"], event["rule"], text, DONE, EVENT, event["time_ms"])
 

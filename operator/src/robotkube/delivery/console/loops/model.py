@@ -68,7 +68,7 @@ class ReadModel:
             return self._table.whole()
 
     def since(self, version: int) -> TableChange | None:
-        """What changed after a version; None when that cannot be told."""
+        """What changed after a version; None when that cannot be reported."""
         with self._lock:
             return self._table.since(version)
 
@@ -151,7 +151,7 @@ class ReadModel:
         with self._changing() as table:
             for key, document in documents.items():
                 before = table.get(kinds.EVENTS, key)
-                if before is not None and before["detector"] and _teller(before) != _teller(document):
+                if before is not None and before["detector"] and _reporter(before) != _reporter(document):
                     continue
                 if document["began_ms"] is None and before is not None:  # its beginning has fallen out of the page
                     document = {**before, "ended_ms": document["ended_ms"]}
@@ -213,7 +213,7 @@ def _demanded(table: ItemTable, release: Document) -> Document:
     return {**release, "demands": sorted(demands)}
 
 
-def _teller(item: Document) -> str:
+def _reporter(item: Document) -> str:
     """The namespace of the detector that told of an event or a recording."""
     return str(item["detector"]).partition("/")[0]
 
@@ -225,11 +225,11 @@ def _bound(table: ItemTable, kind: str, most: int, lasts: Callable[[Document], b
         return
     items = table.documents(kind)
     newest_first = sorted(items, key=lambda key: (lasts(items[key]), items[key]["began_ms"] or 0))[::-1]
-    told: dict[str, list[str]] = {}
+    reported: dict[str, list[str]] = {}
     for key in newest_first:
-        told.setdefault(_teller(items[key]), []).append(key)
+        reported.setdefault(_reporter(items[key]), []).append(key)
     for _ in range(len(items) - most):
-        table.remove(kind, max(told.values(), key=len).pop())
+        table.remove(kind, max(reported.values(), key=len).pop())
 
 
 def _bound_events(table: ItemTable) -> None:

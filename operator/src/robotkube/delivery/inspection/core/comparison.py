@@ -44,17 +44,17 @@ def differences(live: Object, rendered: Object) -> tuple[str, ...]:
 def differing_keys(live: Object, rendered: Object) -> tuple[str, ...]:
     """The keys of a ConfigMap that are not as its chart renders them: the first DIFFERENCES_MAX, with what is wrong.
     What they hold is not told."""
-    told: list[str] = []
+    differing: list[str] = []
     for part in ("data", "binaryData"):
         have, want = (one.get(part) or {} for one in (live, rendered))
         for key in sorted(have.keys() | want.keys()):
             if key not in want:
-                told.append(f"{part}.{key} is there, which the chart does not have")
+                differing.append(f"{part}.{key} is there, which the chart does not have")
             elif key not in have:
-                told.append(f"{part}.{key} is missing")
+                differing.append(f"{part}.{key} is missing")
             elif have[key] != want[key]:
-                told.append(f"{part}.{key} says something else")
-    return tuple(told[:DIFFERENCES_MAX])
+                differing.append(f"{part}.{key} says something else")
+    return tuple(differing[:DIFFERENCES_MAX])
 
 
 def _metadata(item: Object, part: str) -> Object:
@@ -106,8 +106,8 @@ def _lists(live: Sequence[Any], rendered: Sequence[Any], place: str, words: str)
         known = [_name(entry) for entry in rendered]
         added = [_name(entry) for entry in live if _name(entry) not in known]
         gone = [name for name in known if name not in [_name(entry) for entry in live]]
-        told = [*(f"{name} added" for name in added), *(f"{name} missing" for name in gone)]
-        yield f"{words} has {len(live)} entries, not {len(rendered)}" + (f" ({', '.join(told)})" if told else "")
+        changed = [*(f"{name} added" for name in added), *(f"{name} missing" for name in gone)]
+        yield f"{words} has {len(live)} entries, not {len(rendered)}" + (f" ({', '.join(changed)})" if changed else "")
         return
     for one, other in zip(live, rendered, strict=True):
         yield from _compared(one, other, f"{place}.*", f"{words}[{_name(one)}]")

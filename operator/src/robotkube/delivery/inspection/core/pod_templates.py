@@ -57,8 +57,8 @@ def pod_differences(labels: Object, annotations: Object, spec: Object, template:
     }
     words = {part: metadata[part] for part in ("labels", "annotations") if metadata.get(part)}
     wanted = {"metadata": words, "spec": _as_pods_have_it(rendered)}
-    told = differences({"spec": {"template": live}}, {"spec": {"template": wanted}})
-    return tuple(problem.removeprefix("spec.template.") for problem in told)
+    problems = differences({"spec": {"template": live}}, {"spec": {"template": wanted}})
+    return tuple(problem.removeprefix("spec.template.") for problem in problems)
 
 
 def _labels(labels: Object, metadata: Object) -> Object:

@@ -67,7 +67,7 @@ class Reporter:
         status = status_of(look, before, time_text(now))
         if look.name in self._hindered or not _is_same(before, status, now):
             self._write(look, status)
-        self._tell(look, before, status)
+        self._report_changes(look, before, status)
 
     def forget_others(self, names: Iterable[str], prefix: str) -> None:
         """Remove the Inspections that begin with `prefix` and are none of `names`: their nodes are gone."""
@@ -167,7 +167,7 @@ class Reporter:
             self._written[name] = own(self._inspections.status(name) or {})
         return self._written[name]
 
-    def _tell(self, look: Look, before: Status, status: Status) -> None:
+    def _report_changes(self, look: Look, before: Status, status: Status) -> None:
         """Of strangers that came or went since the status before."""
         if look.problem:
             return

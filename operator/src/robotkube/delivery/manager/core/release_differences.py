@@ -46,13 +46,13 @@ def release_differences(changes: Iterable[Change]) -> ReleaseDifferences:
 
 
 def _of(change: Change) -> Iterator[ValueDifference]:
-    before, after = (_told(release, change) for release in (change.before, change.after))
+    before, after = (_shown(release, change) for release in (change.before, change.after))
     for path in sorted({*before, *after}):
         if before.get(path) != after.get(path):
             yield ValueDifference(change.release.key, path, before.get(path), after.get(path))
 
 
-def _told(release: Release | None, change: Change) -> dict[str, str]:
+def _shown(release: Release | None, change: Change) -> dict[str, str]:
     if release is None:
         return {}
     chart = {"chart": release.chart, "version": release.version}

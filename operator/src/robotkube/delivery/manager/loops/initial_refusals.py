@@ -21,9 +21,9 @@ class InitialRefusals:
     comes and when the words change; agents that join it, and leave, are no news."""
 
     def __init__(self) -> None:
-        self._told: frozenset[_Problem] = frozenset()
+        self._reported: frozenset[_Problem] = frozenset()
 
-    def tell(self, outcomes: Mapping[str, object]) -> None:
+    def report(self, outcomes: Mapping[str, object]) -> None:
         """Log what was not there the last time; `outcomes` by demand."""
         problems: dict[_Problem, list[str]] = {}
         for key, outcome in sorted(outcomes.items()):
@@ -31,10 +31,10 @@ class InitialRefusals:
                 application, _, agent = key.removeprefix(INITIAL).partition("/")
                 problems.setdefault((application, outcome.reason, outcome.message), []).append(agent)
         for problem, agents in problems.items():
-            if problem not in self._told:
+            if problem not in self._reported:
                 application, cause, message = problem
                 log.error(
                     "initial demand refused application=%s agents=%d first=%s cause=%s reason=%s",
                     *(application, len(agents), ",".join(agents[:AGENTS_NAMED_MAX]), cause, message),
                 )
-        self._told = frozenset(problems)
+        self._reported = frozenset(problems)

@@ -300,7 +300,7 @@ class Planner:
         ]
         times.append(next_loss_ns(self._cluster.nodes(), self._settings.node_lost_seconds, self._now_ns))
         self.next_due_ns = min((time for time in times if time is not None), default=None)
-        self._initial_refusals.tell(self.desired.outcomes)
+        self._initial_refusals.report(self.desired.outcomes)
 
     def _changes(self, desired: Composition, remember: bool = True) -> tuple[Change, ...]:
         """The changes that bring main to `desired`; `remember` as in MainReader.respected."""

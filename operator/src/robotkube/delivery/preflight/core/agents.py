@@ -108,9 +108,9 @@ def _not_ready(node: Object) -> Iterator[Problem]:
 def control_groups(versions: Mapping[str, int | Unread], nodes: Sequence[Object]) -> CheckVerdict:
     """Every Node has control groups of version 2, as its kubelet says in its metrics, or a kubelet that was told to
     take version 1: one that refuses it by itself does not run there otherwise."""
-    told = {name_of(node) for node in nodes if _refuses_version_1(node)}
+    allowing = {name_of(node) for node in nodes if _refuses_version_1(node)}
     first = {name for name, version in versions.items() if version == 1}
-    old = sorted(first - told)
+    old = sorted(first - allowing)
     unread = {name: version.why for name, version in versions.items() if isinstance(version, Unread)}
     why = "kubelets of Kubernetes 1.35 and later do not start there unless failCgroupV1 is false"
     fix = "boot it with systemd.unified_cgroup_hierarchy=1, or take a newer distribution"
@@ -119,7 +119,9 @@ def control_groups(versions: Mapping[str, int | Unread], nodes: Sequence[Object]
     unseen = f"version of {named(sorted(unread))} not read: {words}" if unread else ""
     unseen = unseen if versions else "there is no Node"
     says = f"{len(versions) - len(unread)} of {len(versions)} Nodes say their version"
-    says += f"; {len(first & told)} have version 1, and kubelets with failCgroupV1: false" if first & told else ""
+    says += (
+        f"; {len(first & allowing)} have version 1, and kubelets with failCgroupV1: false" if first & allowing else ""
+    )
     return CheckVerdict(says, problems, unseen)
 
 

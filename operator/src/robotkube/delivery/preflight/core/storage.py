@@ -28,7 +28,7 @@ class Storage:
 
 
 @dataclass(frozen=True)
-class Claim:
+class VolumeClaim:
     """One volume claim of the chart; an empty class is the default one."""
 
     namespace: str
@@ -45,7 +45,7 @@ class Claim:
 
 def storage(rendering: RenderedChart, present: Storage) -> CheckVerdict:
     """Each volume claim has a class that is there, and what stands under its name is the same."""
-    claims = list(_claims(rendering))
+    claims = list(_volume_claims(rendering))
     default = next((name_of(one) for one in present.classes if annotations_of(one).get(DEFAULT) == "true"), "")
     classes = {name_of(one): one for one in present.classes}
     standing = {(metadata_of(one).get("namespace"), name_of(one)): one for one in present.claims}
@@ -68,22 +68,22 @@ def storage(rendering: RenderedChart, present: Storage) -> CheckVerdict:
     return CheckVerdict(says, problems, "; ".join(sorted(unseen)))
 
 
-def _claims(rendering: RenderedChart) -> Iterator[Claim]:
+def _volume_claims(rendering: RenderedChart) -> Iterator[VolumeClaim]:
     for item in rendering.of_kind("PersistentVolumeClaim"):
-        yield _claim(item, rendering.namespace_of(item), name_of(item))
+        yield _volume_claim(item, rendering.namespace_of(item), name_of(item))
     for item in rendering.of_kind("StatefulSet"):
         for template in items(mapping(item.get("spec")).get("volumeClaimTemplates")):
-            yield _claim(template, rendering.namespace_of(item), f"{name_of(template)}-{name_of(item)}-0")
+            yield _volume_claim(template, rendering.namespace_of(item), f"{name_of(template)}-{name_of(item)}-0")
 
 
-def _claim(item: Object, namespace: str, name: str) -> Claim:
+def _volume_claim(item: Object, namespace: str, name: str) -> VolumeClaim:
     spec = mapping(item.get("spec"))
     size = mapping(mapping(spec.get("resources")).get("requests")).get("storage", "")
     modes = frozenset(map(str, spec.get("accessModes") or ()))
-    return Claim(namespace, name, str(spec.get("storageClassName") or ""), modes, str(size))
+    return VolumeClaim(namespace, name, str(spec.get("storageClassName") or ""), modes, str(size))
 
 
-def _no_class(claim: Claim, classes: Sequence[str]) -> Problem:
+def _no_class(claim: VolumeClaim, classes: Sequence[str]) -> Problem:
     what = f"there is no StorageClass {claim.class_name}" if claim.class_name else "there is no default StorageClass"
     there = (
         f"name one of {named(classes)} in {KEYS}" if classes else f"install a provisioner, and name its class in {KEYS}"
@@ -92,13 +92,13 @@ def _no_class(claim: Claim, classes: Sequence[str]) -> Problem:
     return Problem(what, claim.place, WHY_NO_CLASS, there if claim.class_name else f"{there}, or {mark}")
 
 
-def _no_volume(claim: Claim, chosen: str) -> Problem:
+def _no_volume(claim: VolumeClaim, chosen: str) -> Problem:
     modes = ", ".join(sorted(claim.modes))
     what = f"class {chosen} makes no volumes, and none is Available with {claim.size} and {modes}"
     return Problem(what, claim.place, WHY_NO_CLASS, f"make such a PersistentVolume, or name another class in {KEYS}")
 
 
-def _fitting(claim: Claim, chosen: str, volumes: Sequence[Object]) -> bool:
+def _fitting(claim: VolumeClaim, chosen: str, volumes: Sequence[Object]) -> bool:
     size = quantity(claim.size) or 0
     for volume in volumes:
         spec = mapping(volume.get("spec"))
@@ -110,7 +110,7 @@ def _fitting(claim: Claim, chosen: str, volumes: Sequence[Object]) -> bool:
     return False
 
 
-def _differences(claim: Claim, spec: Mapping[str, Any]) -> Iterator[Problem]:
+def _differences(claim: VolumeClaim, spec: Mapping[str, Any]) -> Iterator[Problem]:
     """What differs of a claim that is there: Kubernetes changes neither its class nor its access modes."""
     stated = {"accessModes": (sorted(claim.modes), sorted(map(str, spec.get("accessModes") or ())))}
     if claim.class_name:

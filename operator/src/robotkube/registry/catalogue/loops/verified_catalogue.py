@@ -132,7 +132,7 @@ class AssuredCatalogue:
         self._repository = files
         self._reader = EvidenceReader(verifier, platforms)
         self._seen: tuple[str, frozenset[str]] = ("", frozenset())
-        self._told: frozenset[str] = frozenset()  # problems of the commit that was read last
+        self._reported: frozenset[str] = frozenset()  # problems of the commit that was read last
         self.tip = ""
         self.files: Mapping[str, str] = {}  # path -> text of the last good commit
         self.catalogue = Catalogue()
@@ -160,9 +160,9 @@ class AssuredCatalogue:
         files = self._repository.files(newest, FOLDERS)
         catalogue = self._reader.read(files)
         for problem in catalogue.problems:
-            if problem not in self._told:
+            if problem not in self._reported:
                 log.error("catalogue unusable commit=%s problem=%r", newest[:12], problem)
-        self._told = frozenset(catalogue.problems)
+        self._reported = frozenset(catalogue.problems)
         if not catalogue.problems:
             self.tip = newest
             self.files = files

@@ -84,8 +84,8 @@ class ChartInProgress:
             state = self.states.get(rule.name, "waiting")
             return SuiteReport(rule.name, rule.version, state, note=self.reasons.get(rule.name, ""))
         ended = self.ended.get(rule.name, "")
-        told = SuiteReport(rule.name, rule.version, result.outcome, result.seconds, ended=ended)
-        return replace(told, failed=result.failed, reserved=result.reserved)
+        report = SuiteReport(rule.name, rule.version, result.outcome, result.seconds, ended=ended)
+        return replace(report, failed=result.failed, reserved=result.reserved)
 
 
 def _kept_seconds(statement: VerifiedStatement) -> float | None:

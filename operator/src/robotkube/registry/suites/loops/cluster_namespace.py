@@ -270,10 +270,10 @@ class ClusterTestNamespace:
             host = self._start(contents.broker_pod(BROKER, image, self.agent, self.domain_id, port))
             self._broker = SuiteAccount("suite", password, host, port)
             self._broker_began = self._api.log(BROKER, BROKER, LOG_BYTES_MAX)[:BEGINNING_CHARACTERS]
-            self._tell(self._broker, issued)
+            self._write_broker_account(self._broker, issued)
         return self._broker
 
-    def _tell(self, broker: SuiteAccount, issued: Issued | None) -> None:
+    def _write_broker_account(self, broker: SuiteAccount, issued: Issued | None) -> None:
         """Make what the chart finds in an agent's namespace: the account, and how the broker proves who it is."""
         self._trust(issued)
         self._api.create("Secret", contents.secret(BROKER_SECRET, _account_data(broker) | _proof(BROKER, issued)))
@@ -282,7 +282,7 @@ class ClusterTestNamespace:
         return self._settings.certify(name) if self._settings.certify is not None else None
 
     def _trust(self, issued: Issued | None) -> None:
-        """Tell the test namespace who signed, beside whoever did before."""
+        """Write into the test namespace who signed, beside whoever did before."""
         if issued:
             self._authorities.append(issued.authority)
             self._api.apply(contents.authorities("".join(self._authorities)))

@@ -36,7 +36,7 @@ SUBMIT = "submit the chart: the platform's own test namespaces take it"
 
 class OwnNamespaceRuns:
     """Runs of suites, at most one in each namespace at a time. `settings` are what all have but name and domain;
-    `token` gives a word for their names; `told` gets what is worth saying, in sentences."""
+    `token` gives a word for their names; `report` gets what is worth saying, in sentences."""
 
     def __init__(
         self,
@@ -46,7 +46,7 @@ class OwnNamespaceRuns:
         token: str,
         clock: Callable[[], float],
         now_ns: Callable[[], int],
-        told: Callable[[str], None],
+        report: Callable[[str], None],
         seconds: float = SECONDS_MAX,
     ) -> None:
         self._namespaces = namespaces
@@ -54,7 +54,7 @@ class OwnNamespaceRuns:
         self._render = render
         self._clock = clock
         self._now_ns = now_ns
-        self._told = told
+        self._report = report
         self._seconds = seconds
         self._deadline = clock() + seconds
         self._stopping = threading.Event()
@@ -66,7 +66,7 @@ class OwnNamespaceRuns:
         """Remove what earlier ones left behind."""
         left = self._namespaces.remove_left_behind()
         if left:
-            self._told(f"removed what an earlier try left behind: namespace {', '.join(left)}")
+            self._report(f"removed what an earlier try left behind: namespace {', '.join(left)}")
         return self
 
     def __exit__(
@@ -83,11 +83,11 @@ class OwnNamespaceRuns:
             self._namespaces.remove(name)
             while not self._namespaces.is_gone(name):
                 if self._clock() >= deadline:
-                    self._told(f"namespace {name} is still being removed")
+                    self._report(f"namespace {name} is still being removed")
                     return
                 threading.Event().wait(POLL_SECONDS)
         except (InputError, UnavailableError) as error:
-            self._told(f"namespace {name} was not removed: {error}; kubectl delete namespace {name}, or try again")
+            self._report(f"namespace {name} was not removed: {error}; kubectl delete namespace {name}, or try again")
 
     def stop(self) -> None:
         """Have everything end that runs, and let nothing begin."""

@@ -36,7 +36,7 @@ class RecordingReactions:
 
     def document(self) -> dict[str, Any]:
         """The document of `GET /recordings`; from any thread."""
-        return {"recordings": [told for recordings in self.at_work for told in recordings.documents()]}
+        return {"recordings": [document for recordings in self.at_work for document in recordings.documents()]}
 
     @property
     def after_seconds(self) -> float:

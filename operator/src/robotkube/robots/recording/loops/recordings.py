@@ -116,9 +116,9 @@ class Recordings:
         """The recordings that are open or ending, and the last ENDED_MAX that have ended; from any thread. Holes are
         looked for when an audit is closed, so the gaps of an open recording are those that were reported so far."""
         with self._lock:
-            return [*self._ended_documents, *(self._told(recorder) for recorder in self.recorders)]
+            return [*self._ended_documents, *(self._summary(recorder) for recorder in self.recorders)]
 
-    def _told(self, recorder: Recorder, ended: int | None = None) -> dict[str, Any]:
+    def _summary(self, recorder: Recorder, ended: int | None = None) -> dict[str, Any]:
         return {
             "recording": recorder.recording,
             "rule": self.plan.rule,
@@ -211,7 +211,7 @@ class Recordings:
             with self._lock:
                 self._ending.remove(recorder)
                 _add(self._ended, recorder)
-                self._ended_documents.append(self._told(recorder, now))
+                self._ended_documents.append(self._summary(recorder, now))
                 self._causes.pop(recorder.recording, None)
 
     def stop(self, seconds: float) -> bool:

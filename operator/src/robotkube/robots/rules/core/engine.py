@@ -166,11 +166,11 @@ class RuleEngine:
         """The edges that the time alone causes, up to `now` on this machine's clock (ns since 1970)."""
         edges = self._begin(now, now) if self._beginning else []
         combinations = self._feed.combinations
-        told = [edge for e in self._evaluators.values() if e not in combinations for edge in _elapsed(e, now)]
-        edges += self._propagated(told, now)
+        elapsed = [edge for e in self._evaluators.values() if e not in combinations for edge in _elapsed(e, now)]
+        edges += self._propagated(elapsed, now)
         for evaluator in combinations:
-            if not self._feed.waits(evaluator) and (told := _elapsed(evaluator, now)):
-                edges += self._propagated(told, now)
+            if not self._feed.waits(evaluator) and (elapsed := _elapsed(evaluator, now)):
+                edges += self._propagated(elapsed, now)
         return edges
 
     def settle(self) -> list[Edge]:

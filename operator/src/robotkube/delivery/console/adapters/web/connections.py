@@ -39,8 +39,8 @@ class BoundedConnection(H11Protocol):
 
     bounds: ClassVar[WebBounds] = WebBounds()
     proxies: ClassVar[Sequence[Network]] = ()
-    refused: ClassVar[int] = 0  # since it was told last
-    told_next: ClassVar[float] = 0.0
+    refused: ClassVar[int] = 0  # since it was logged last
+    logged_next: ClassVar[float] = 0.0
 
     def __init__(self, *arguments: Any, **more: Any) -> None:
         super().__init__(*arguments, **more)
@@ -53,7 +53,7 @@ class BoundedConnection(H11Protocol):
         if self._is_one_too_many():
             self.connections.discard(self)
             transport.abort()
-            self._tell()
+            self._log_refusals()
         else:
             self._expect_request()
 
@@ -100,15 +100,15 @@ class BoundedConnection(H11Protocol):
         own = (one for one in self.connections if isinstance(one, BoundedConnection))
         return sum(one._source() == self._source() for one in own)
 
-    def _tell(self) -> None:
+    def _log_refusals(self) -> None:
         """Log who was refused, once in a while, however many are."""
         kind = type(self)
         kind.refused += 1
-        if self.loop.time() >= kind.told_next:
+        if self.loop.time() >= kind.logged_next:
             reason = f"it has {self.bounds.connections_of_source}; find out what keeps them open"
             log.warning("connections refused count=%d last_source=%s reason=%s", kind.refused, self._source(), reason)
             kind.refused = 0
-            kind.told_next = self.loop.time() + REFUSALS_LOGGED_SECONDS
+            kind.logged_next = self.loop.time() + REFUSALS_LOGGED_SECONDS
 
     def _source(self) -> str:
         return self.client[0] if self.client else ""

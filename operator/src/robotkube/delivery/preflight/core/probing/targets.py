@@ -35,7 +35,7 @@ def _image(rendering: RenderedChart) -> str:
 def _broker(rendering: RenderedChart) -> tuple[str, int]:
     """Host and port of the broker, as agents are told them."""
     for item in rendering.of_kind("Secret"):
-        told = mapping(item.get("stringData"))
-        if name_of(item) == "broker-account" and str(told.get("port", "")).isdecimal():
-            return str(told.get("host", "")), int(str(told["port"]))
+        account = mapping(item.get("stringData"))
+        if name_of(item) == "broker-account" and str(account.get("port", "")).isdecimal():
+            return str(account.get("host", "")), int(str(account["port"]))
     return "", 0
