@@ -10,7 +10,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -155,15 +154,9 @@ def client(kubectl: Kubectl, address: str, code: int | None = 0) -> str:
     return kubectl("-n", "probe", "exec", "client", "--", "/probe", "get", address, code=code)
 
 
-def eventually(kubectl: Kubectl, address: str, expected: str) -> None:
-    """kube-proxy takes up to a second to hear of a new endpoint."""
-    answers = []
-    for _ in range(10):
-        answers.append(client(kubectl, address, code=None))
-        if answers[-1] == expected:
-            return
-        time.sleep(0.5)
-    pytest.fail(f"{address}: {answers}")
+def eventually(kubectl: Kubectl, address: str, expected: str, seconds: float | None = None) -> None:
+    """Until that is the answer: kube-proxy hears of a new endpoint a moment later."""
+    until(lambda: client(kubectl, address, code=None) == expected, f"{address} answers {expected!r}", seconds)
 
 
 def test_nodes_have_labels_taints_and_capacity(cluster: Embedded) -> None:
@@ -304,11 +297,7 @@ def test_a_node_that_was_stopped_comes_back_with_its_pods_and_volumes(cluster: E
     assert cgroups.processes_of_node(NAME, "cloud-0", names) == set()
     assert cgroups.processes_of_node(NAME, "vehicle-00", ()) != set()
     cluster.start_node("cloud-0")
-    for _ in range(60):
-        if client(probes, "http://web.probe.svc.cluster.local/", code=None) == "web\n":
-            break
-        time.sleep(1.0)
-    eventually(probes, "http://web.probe.svc.cluster.local/", "web\n")
+    eventually(probes, "http://web.probe.svc.cluster.local/", "web\n", 60.0)
     assert (cluster.volume_path("probe", "data") / "kept").exists()
 
 
