@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import json
 from collections.abc import Mapping
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -16,13 +18,18 @@ from robotkube.delivery.console.core.signing_in import challenge
 
 ISSUER = "https://forge.example"
 CLIENT = "console-client"
+NOW = 1_795_000_000
 
 
 class AccountProvider:
-    """The provider. `claims` are those of whoever signs in; each code is taken once, with its verifier alone."""
+    """The provider. `claims` are those of whoever signs in; each code is taken once, with its verifier alone. Browsers
+    reach it at `pages`; `id_token` are further claims of ID tokens, which end when they are given, at NOW."""
 
     def __init__(self, **claims: Any) -> None:
         self.claims: Mapping[str, Any] = claims
+        self.id_token: Mapping[str, Any] = {}
+        self.pages = ISSUER
+        self.userinfo_asked = 0
         self.secret = ""
         self.away = False
         self._codes: dict[str, tuple[str, str]] = {}
@@ -40,6 +47,7 @@ class AccountProvider:
 
     def consent(self, location: str) -> dict[str, str]:
         """What a browser brings back when the person at `location` agrees."""
+        assert location.startswith(f"{self.pages}/authorize?"), location
         query = {name: values[0] for name, values in parse_qs(urlsplit(location).query).items()}
         assert (query["client_id"], query["response_type"], query["code_challenge_method"]) == (CLIENT, "code", "S256")
         code = f"code-{len(self._codes)}"
@@ -56,11 +64,20 @@ class AccountProvider:
         genuine = challenge(form["code_verifier"]) == asked and form["redirect_uri"] == redirect
         if not genuine or form.get("client_secret", "") != self.secret:
             return JSONResponse({"error": "invalid_grant"}, 400)
-        return JSONResponse({"access_token": "token", "token_type": "bearer"})
+        claims = {"iss": ISSUER, "aud": [CLIENT], "exp": NOW, **self.claims, **self.id_token}
+        return JSONResponse({"access_token": "token", "token_type": "bearer", "id_token": json_web_token(claims)})
 
     async def _userinfo(self, request: Request) -> JSONResponse:
+        self.userinfo_asked += 1
         assert request.headers["authorization"] == "Bearer token"
         return JSONResponse(dict(self.claims))
+
+
+def json_web_token(claims: Mapping[str, Any]) -> str:
+    """A token with these claims, whose signature nobody reads."""
+    parts = ({"alg": "ES256"}, claims)
+    encoded = [base64.urlsafe_b64encode(json.dumps(part).encode()).decode().rstrip("=") for part in parts]
+    return ".".join([*encoded, "signature"])
 
 
 def _unreachable(request: httpx.Request) -> httpx.Response:

@@ -14,6 +14,12 @@ from robotkube.errors import DocumentError
 from robotkube.foundation.runtime.settings_file import read_settings
 
 SIGN_IN = {"issuer": "https://forge.example", "client_id": "c", "url": "https://console.example", "groups": ["a"]}
+BY_THE_FORGE = {
+    **{key: value for key, value in SIGN_IN.items() if key != "client_id"},
+    "client_id_file": "/etc/robotkube/sign-in/client_id",
+    "pages": "https://git.example",
+    "by_id_token": True,
+}
 LEAST: dict[str, Any] = {
     "listen": {"address": "127.0.0.1", "port": 0, "health_port": 0},
     "log_level": "info",
@@ -57,6 +63,19 @@ def test_signing_in(tmp_path: Path) -> None:
     assert asked.scopes == ("openid",)
 
 
+def test_signing_in_by_a_client_that_is_registered_later(tmp_path: Path) -> None:
+    settings = read(tmp_path, sign_in=BY_THE_FORGE, anybody_reads=None)
+    assert settings.client_id_file == Path("/etc/robotkube/sign-in/client_id")
+    assert settings.sign_in is not None
+    assert (settings.sign_in.client_id, settings.sign_in.pages, settings.sign_in.by_id_token) == (
+        "",
+        "https://git.example",
+        True,
+    )
+    other = read(tmp_path, sign_in=SIGN_IN, anybody_reads=None)
+    assert (other.client_id_file, other.sign_in and other.sign_in.by_id_token) == (None, False)
+
+
 @pytest.mark.parametrize(
     ("changed", "problem"),
     [
@@ -64,6 +83,11 @@ def test_signing_in(tmp_path: Path) -> None:
         ({"anybody_reads": False}, "sign_in: missing"),
         ({"sign_in": {**SIGN_IN, "groups": []}}, r"sign_in\.groups: must name one group or more"),
         ({"sign_in": {**SIGN_IN, "issuer": "forge"}}, r"sign_in\.issuer: 'forge' must match"),
+        ({"sign_in": {**SIGN_IN, "client_id_file": "/a/b"}}, "sign_in: needs one of client_id and client_id_file, the"),
+        ({"sign_in": {**SIGN_IN, "client_id": None}}, "sign_in: needs one of client_id and client_id_file"),
+        ({"sign_in": {**BY_THE_FORGE, "client_id_file": "b"}}, r"sign_in\.client_id_file: 'b' must match"),
+        ({"sign_in": {**BY_THE_FORGE, "pages": "git"}}, r"sign_in\.pages: 'git' must match"),
+        ({"sign_in": {**BY_THE_FORGE, "by_id_token": "yes"}}, r"sign_in\.by_id_token: must be true or false"),
         ({"sign_in": {**SIGN_IN, "scopes": ["a b"]}}, r"sign_in\.scopes\[0\]: 'a b' must match"),
         (
             {"sign_in": {**SIGN_IN, "writers": [{"group": " a", "namespaces": ["B"]}]}},

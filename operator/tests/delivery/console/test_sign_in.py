@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -11,23 +13,32 @@ from robotkube.delivery.console.adapters.web.application import Console, Console
 from robotkube.delivery.console.adapters.web.openid_connect import OpenIdConnect
 from robotkube.delivery.console.adapters.web.people import People
 from robotkube.delivery.console.core.sessions import SESSION_SECONDS, SESSIONS_MAX, Sessions
-from robotkube.delivery.console.core.signing_in import Person, SignIn, place_to_return, read_provider
+from robotkube.delivery.console.core.signing_in import (
+    LEEWAY_SECONDS,
+    Person,
+    SignIn,
+    place_to_return,
+    read_id_token,
+    read_provider,
+)
 from robotkube.delivery.console.loops.model import ReadModel
 from tests.delivery.console.people import PlatformInMemory
-from tests.delivery.console.provider import CLIENT, ISSUER, AccountProvider
+from tests.delivery.console.provider import CLIENT, ISSUER, NOW, AccountProvider, json_web_token
 from tests.delivery.console.requests import Client
 
 URL, SECRET = "https://console.example", "for tests"
 SCOPES = ("openid", "groups", "read:user")
 SETTINGS = SignIn(ISSUER, CLIENT, "", URL, frozenset(["robotkube"]), "preferred_username", "groups", SCOPES)
+PAGES = "https://git.example"
+BY_THE_FORGE = replace(SETTINGS, client_id="", pages=PAGES, by_id_token=True)
 
 
 class Browser:
-    """A browser in front of a console whose people come from `provider`."""
+    """A browser in front of a console whose people come from `provider`, and whose client's id from `file`, if any."""
 
-    def __init__(self, provider: AccountProvider, settings: SignIn = SETTINGS) -> None:
+    def __init__(self, provider: AccountProvider, settings: SignIn = SETTINGS, file: Path | None = None) -> None:
         self.provider = provider
-        people = People(settings, OpenIdConnect(settings, provider.client))
+        people = People(settings, OpenIdConnect(settings, provider.client, file, lambda: float(NOW)))
         around = ConsoleSurroundings(["console.example"], settings.encrypted)
         self.console = Console(ReadModel("e", lambda: 7), people, PlatformInMemory().asking, around)
         self.client = Client(self.console.app, settings.url)
@@ -160,6 +171,97 @@ def test_signing_in_is_asked_for_at_most_so_often(browser: Browser) -> None:
     answers = [browser.client.get("/auth/login").status_code for _ in range(25)]
     assert answers[:20] == [302] * 20
     assert answers[-1] == 429
+
+
+@pytest.fixture
+def client_id_file(tmp_path: Path) -> Path:
+    """Brought by a kubelet."""
+    file = tmp_path / "client_id"
+    file.write_text(f"{CLIENT}\n")
+    return file
+
+
+@pytest.fixture
+def forge() -> AccountProvider:
+    """A provider that browsers reach elsewhere than the console does."""
+    provider = AccountProvider(preferred_username="anna", groups=["robotkube"])
+    provider.pages = PAGES
+    return provider
+
+
+def test_who_somebody_is_stands_in_the_id_token_and_no_other_token_is_used(
+    forge: AccountProvider, client_id_file: Path
+) -> None:
+    browser = Browser(forge, BY_THE_FORGE, client_id_file)
+    assert browser.sign_in().status_code == 303
+    assert (browser.session["user"], browser.session["groups"], browser.session["may_read"]) == (
+        "anna",
+        ["robotkube"],
+        True,
+    )
+    assert forge.userinfo_asked == 0
+
+
+@pytest.mark.parametrize(
+    ("claims", "reason"),
+    [
+        ({"iss": PAGES}, f"is of the issuer '{PAGES}' instead of {ISSUER}"),
+        ({"aud": ["another"]}, f"is for ['another'] instead of the client {CLIENT} alone"),
+        ({"aud": [CLIENT, "another"]}, f"is for ['{CLIENT}', 'another'] instead"),
+        ({"exp": NOW - LEEWAY_SECONDS}, f"ended at {NOW - LEEWAY_SECONDS}, and it is {NOW}"),
+        ({"exp": None}, "ended at None"),
+        ({"exp": float("nan")}, "ended at nan"),
+        ({"preferred_username": ""}, "has no claim preferred_username"),
+    ],
+)
+def test_an_id_token_of_another_purpose_makes_no_session(
+    forge: AccountProvider,
+    client_id_file: Path,
+    claims: dict[str, Any],
+    reason: str,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    forge.id_token = claims
+    browser = Browser(forge, BY_THE_FORGE, client_id_file)
+    assert browser.sign_in().status_code == 403
+    assert browser.session["user"] is None
+    assert f"the ID token {reason}" in caplog.text
+
+
+@pytest.mark.parametrize("text", ["", "a.b.c", "a.b", "e30", "e30.W10.x", "e30.eyJhIjox.x", "e30.e30", "e30.é.x"])
+def test_what_is_no_token_is_said(text: str) -> None:
+    with pytest.raises(ValueError, match="is no JSON Web Token"):
+        read_id_token(text, ISSUER, CLIENT, NOW)
+
+
+def test_a_token_for_this_client_alone_is_taken_in_either_form() -> None:
+    claims = {"iss": f"{ISSUER}/", "aud": CLIENT, "exp": NOW, "groups": ["ä"]}
+    assert read_id_token(json_web_token(claims), ISSUER, CLIENT, NOW) == claims
+
+
+def test_before_the_client_is_registered_it_is_said_and_then_it_goes(
+    forge: AccountProvider, client_id_file: Path
+) -> None:
+    client_id_file.write_text("")
+    browser = Browser(forge, BY_THE_FORGE, client_id_file)
+    for missing in (False, True):
+        client_id_file.unlink() if missing else None
+        answer = browser.client.get("/auth/login")
+        assert (answer.status_code, answer.headers["retry-after"]) == (503, "10")
+        assert f"{client_id_file} has no client id yet. The Job bootstrap registers" in answer.json()["detail"]
+    client_id_file.write_text(CLIENT)
+    assert browser.sign_in().status_code == 303
+
+
+def test_a_provider_whose_pages_nobody_can_tell_is_refused() -> None:
+    endpoints = {f"{name}_endpoint": f"https://elsewhere.example/{name}" for name in ("authorization", "token")}
+    document = {"issuer": ISSUER, **endpoints, "userinfo_endpoint": f"{ISSUER}/userinfo"}
+    assert read_provider(document, ISSUER).authorization == "https://elsewhere.example/authorization"
+    with pytest.raises(ValueError, match=f"not below {ISSUER}: nobody knows how browsers reach it at {PAGES}"):
+        read_provider(document, ISSUER, PAGES)
+    beside = {**document, "authorization_endpoint": f"{ISSUER}.elsewhere.example/authorize"}
+    with pytest.raises(ValueError, match="not below"):
+        read_provider(beside, ISSUER, PAGES)
 
 
 @pytest.mark.parametrize("path", ["//evil.example", "https://evil.example", "/\\evil.example", "/a\nb", "", "/" * 1001])

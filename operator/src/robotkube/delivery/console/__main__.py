@@ -21,6 +21,7 @@ from robotkube.delivery.console.adapters.http_pages import AGENT_PAGE_BYTES_MAX,
 from robotkube.delivery.console.adapters.peoples_tasks import ImpersonatedTasks
 from robotkube.delivery.console.adapters.web.application import Console, ConsoleSurroundings
 from robotkube.delivery.console.adapters.web.asking import AskedParties
+from robotkube.delivery.console.adapters.web.openid_connect import OpenIdConnect
 from robotkube.delivery.console.adapters.web.page_files import read_files
 from robotkube.delivery.console.adapters.web.people import People
 from robotkube.delivery.console.adapters.web.server import AsgiServer
@@ -62,7 +63,8 @@ class ConsoleProcess:
         page = read_files(configuration.page)
         encrypted = sign_in is not None and sign_in.encrypted
         around = ConsoleSurroundings(configuration.hosts, encrypted, configuration.links, page)
-        people = People(sign_in, writers=configuration.writers)
+        provider = OpenIdConnect(sign_in, client_id_file=configuration.client_id_file) if sign_in else None
+        people = People(sign_in, provider, configuration.writers)
         asking = AskedParties(configuration.managers, self._pages, ImpersonatedTasks(api))
         self.console = Console(self.model, people, asking, around)
         self.server = AsgiServer(
@@ -118,9 +120,16 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     configuration = files.start_with_settings(process, read_configuration, environment)
     in_cluster = "KUBERNETES_SERVICE_HOST" in environment
     console = ConsoleProcess(configuration, api_client(in_cluster=in_cluster))
-    signed = "by the provider" if configuration.sign_in else "nobody: everybody who reaches it reads"
+    signed = _who_signs_in(configuration)
     process.log("started", port=console.server.port, health_port=console.health.port, sign_in=signed)
     console.run(process.stopping)
+
+
+def _who_signs_in(configuration: ConsoleConfiguration) -> str:
+    file = configuration.client_id_file
+    if configuration.sign_in is None:
+        return "nobody: everybody who reaches it reads"
+    return "by the provider" if file is None or file.exists() else f"by the provider, once {file} is there"
 
 
 def main() -> None:

@@ -32,7 +32,10 @@ SCOPES = ["openid", "profile", "groups", "read:user"]  # without the last one a 
 SCOPE = re.compile(r"[!#-\[\]-~]{1,100}", re.ASCII)  # RFC 6749, section 3.3
 TEXT = re.compile(r"[^\0\n]{1,500}")
 GROUP = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9 ._:/@-]{0,198}[A-Za-z0-9._/@-])?", re.ASCII)
-OPTIONAL_OF_SIGN_IN = ("client_secret", "username_claim", "groups_claim", "scopes", "authorities")
+OPTIONAL_OF_SIGN_IN = (
+    *("client_id", "client_id_file", "client_secret", "pages", "by_id_token"),
+    *("username_claim", "groups_claim", "scopes", "authorities"),
+)
 
 
 @dataclass(frozen=True)
@@ -47,8 +50,8 @@ class PoseSource:
 class ConsoleConfiguration:
     """Everything the process needs, secrets included. Without `sign_in` everybody who reaches it reads; without `poses`
     the map has none. `hosts`: names by which browsers reach it; `proxies`: whose word counts for who asks;
-    `writers`: who may ask for tasks; `authorities`: files with those that may have signed certificates of managers, and
-    of the provider, besides the usual ones."""
+    `client_id_file`: has the client id where `sign_in` has none; `writers`: who may ask for tasks; `authorities`: files
+    with those that may have signed certificates of managers, and of the provider, besides the usual ones."""
 
     listen: files.Listen
     log_level: str
@@ -64,6 +67,7 @@ class ConsoleConfiguration:
     sign_in: SignIn | None
     writers: tuple[Writers, ...]
     authorities: tuple[Path, ...] = ()
+    client_id_file: Path | None = None
 
 
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ConsoleConfiguration:
@@ -93,6 +97,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ConsoleCo
         sign_in=_sign_in(reader, root),
         authorities=_authorities(reader, root),
         writers=tuple(_writers(reader, root.get("sign_in"))),
+        client_id_file=_client_id_file(reader, root.get("sign_in")),
     )
 
 
@@ -134,7 +139,7 @@ def _sign_in(reader: Reader, root: Mapping[str, Any]) -> SignIn | None:
         if root.get("anybody_reads") is not True:
             reader.problems.append("sign_in: missing; or say that everybody who reaches it reads: anybody_reads: true")
         return None
-    required = ["issuer", "client_id", "url", "groups"]
+    required = ["issuer", "url", "groups"]
     given = reader.mapping(value, "sign_in", required, [*OPTIONAL_OF_SIGN_IN, "writers"])
     groups = _words(reader, given.get("groups"), "sign_in.groups", TEXT)
     if not groups:
@@ -142,14 +147,29 @@ def _sign_in(reader: Reader, root: Mapping[str, Any]) -> SignIn | None:
     secret = given.get("client_secret")
     return SignIn(
         issuer=reader.word(given.get("issuer"), "sign_in.issuer", HTTP_URL),
-        client_id=reader.word(given.get("client_id"), "sign_in.client_id", WORD),
+        client_id=_client_id(reader, given),
         client_secret="" if secret is None else files.secret(reader, secret, "sign_in.client_secret"),
         url=reader.word(given.get("url"), "sign_in.url", HTTP_URL),
         groups=frozenset(groups),
         username_claim=reader.word(given.get("username_claim"), "sign_in.username_claim", WORD, "preferred_username"),
         groups_claim=reader.word(given.get("groups_claim"), "sign_in.groups_claim", WORD, "groups"),
         scopes=_words(reader, given.get("scopes") or SCOPES, "sign_in.scopes", SCOPE),
+        pages=reader.word(given.get("pages"), "sign_in.pages", HTTP_URL, default=""),
+        by_id_token="by_id_token" in given and reader.truth(given["by_id_token"], "sign_in.by_id_token"),
     )
+
+
+def _client_id(reader: Reader, given: Mapping[str, Any]) -> str:
+    """The client's id, empty where a file has it."""
+    if (given.get("client_id") is None) == (given.get("client_id_file") is None):
+        reader.problems.append("sign_in: needs one of client_id and client_id_file, the file that will have it")
+        return ""
+    return reader.word(given.get("client_id"), "sign_in.client_id", WORD, default="")
+
+
+def _client_id_file(reader: Reader, sign_in: Any) -> Path | None:
+    value = sign_in.get("client_id_file") if isinstance(sign_in, Mapping) else None
+    return None if value is None else Path(reader.word(value, "sign_in.client_id_file", files.PATH))
 
 
 def _writers(reader: Reader, sign_in: Any) -> Sequence[Writers]:

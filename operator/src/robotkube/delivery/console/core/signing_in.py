@@ -4,15 +4,21 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+
+LEEWAY_SECONDS = 300.0
+"""How far the clocks of provider and console may be apart."""
 
 
 @dataclass(frozen=True)
 class SignIn:
     """How people sign in: the provider, the client there (a secret where it has one), and the groups whose members may
-    read. `url` is the console's own address in a browser; `scopes` are what is asked for."""
+    read. `url` is the console's own address in a browser; `scopes` are what is asked for. `client_id` is empty where a
+    file has it, which may come later. `pages` is where browsers reach the provider, where that is not `issuer`.
+    `by_id_token`: who somebody is stands in the ID token, and the access token is not used."""
 
     issuer: str
     client_id: str
@@ -22,6 +28,8 @@ class SignIn:
     username_claim: str
     groups_claim: str
     scopes: tuple[str, ...]
+    pages: str = ""
+    by_id_token: bool = False
 
     @property
     def redirect(self) -> str:
@@ -36,7 +44,7 @@ class SignIn:
 
 @dataclass(frozen=True)
 class Provider:
-    """The provider's addresses, as its discovery document names them."""
+    """The provider's addresses, as its discovery document names them; `authorization` as browsers reach it."""
 
     authorization: str
     token: str
@@ -55,8 +63,9 @@ class Person:
         return any(group in listed for group in self.groups)
 
 
-def read_provider(document: Mapping[str, Any], issuer: str) -> Provider:
-    """The addresses in a discovery document; ValueError says what is wrong with it."""
+def read_provider(document: Mapping[str, Any], issuer: str, pages: str = "") -> Provider:
+    """The addresses in a discovery document; ValueError says what is wrong with it. With `pages` browsers are sent
+    there instead of to the issuer: to the same path."""
     if str(document.get("issuer", "")).rstrip("/") != issuer.rstrip("/"):
         raise ValueError(
             f"names the issuer {document.get('issuer')!r} instead of {issuer}; give it as the provider does"
@@ -66,7 +75,46 @@ def read_provider(document: Mapping[str, Any], issuer: str) -> Provider:
     wrong = [n for n, a in zip(names, addresses, strict=True) if not str(a).startswith(("http://", "https://"))]
     if wrong:
         raise ValueError(f"has no {', '.join(wrong)}")
-    return Provider(*map(str, addresses))
+    authorization, token, userinfo = map(str, addresses)
+    return Provider(_in_browsers(authorization, issuer.rstrip("/"), pages) if pages else authorization, token, userinfo)
+
+
+def _in_browsers(authorization: str, issuer: str, pages: str) -> str:
+    if not authorization.startswith(f"{issuer}/"):
+        raise ValueError(
+            f"has its authorization_endpoint at {authorization}, which is not below {issuer}: nobody knows how "
+            f"browsers reach it at {pages}"
+        )
+    return pages + authorization.removeprefix(issuer)
+
+
+def read_id_token(token: str, issuer: str, client_id: str, now: float) -> Mapping[str, Any]:
+    """The claims of an ID token; ValueError says what is wrong with it.
+
+    It came from the provider's token endpoint, for a code of this console's own, on a connection on which the provider
+    proved who it is. That stands in the place of its signature (OpenID Connect Core 1.0, 3.1.3.7, 6).
+    """
+    claims = _payload(token)
+    if str(claims.get("iss", "")).rstrip("/") != issuer.rstrip("/"):
+        raise ValueError(f"is of the issuer {claims.get('iss')!r} instead of {issuer}")
+    if claims.get("aud") not in (client_id, [client_id]):
+        raise ValueError(f"is for {claims.get('aud')!r} instead of the client {client_id} alone")
+    ends = claims.get("exp")
+    if not isinstance(ends, int | float) or not now < ends + LEEWAY_SECONDS:
+        raise ValueError(f"ended at {ends!r}, and it is {now:.0f}; compare the clocks of provider and console")
+    return claims
+
+
+def _payload(token: str) -> Mapping[str, Any]:
+    parts = token.split(".")
+    try:
+        text = base64.b64decode(parts[1] + "=" * (-len(parts[1]) % 4), b"-_", validate=True)
+        document = json.loads(text)
+    except (IndexError, ValueError, RecursionError) as error:
+        raise ValueError("is no JSON Web Token") from error
+    if len(parts) != 3 or not isinstance(document, dict):
+        raise ValueError("is no JSON Web Token")
+    return document
 
 
 def challenge(verifier: str) -> str:

@@ -26,6 +26,7 @@ NOT_HERE = "Your groups may ask for tasks in {}, not in {}. Who runs the platfor
 NOT_LISTED = (
     "Your account is in none of the groups that may read here. Ask whoever runs the platform (console.signIn.groups)."
 )
+NOT_POSSIBLE = "Nobody can sign in at the moment"
 FOREIGN = "Give the word of /api/session in the header X-CSRF-Token."
 CSRF_HEADER = "x-csrf-token"
 
@@ -126,12 +127,13 @@ class People:
         """Send the browser to the provider."""
         settings, provider = self._configured()
         try:
+            client_id = provider.client_id()
             addresses = await provider.provider()
         except RobotKubeError as error:
             log.warning("sign-in is not possible reason=%s", error)
-            raise ProblemError(503, "The provider of accounts does not answer", str(error), 10.0) from error
+            raise ProblemError(503, NOT_POSSIBLE, str(error), 10.0) from error
         key, begun = self._sessions.begin(place_to_return(request.query_params.get("back", "/")))
-        url = authorization_url(addresses, settings, begun.state, begun.verifier)
+        url = authorization_url(addresses, settings, client_id, begun.state, begun.verifier)
         answer = RedirectResponse(url, 302, {"Cache-Control": "no-store"})
         self._set(answer, self._begun_cookie, key, SIGNING_IN_SECONDS)
         return answer
@@ -155,7 +157,7 @@ class People:
             raise ProblemError(403, "Not signed in", "The provider does not take the sign-in; begin again.") from error
         except RobotKubeError as error:
             log.warning("sign-in is not possible reason=%s", error)
-            raise ProblemError(503, "The provider of accounts does not answer", str(error), 10.0) from error
+            raise ProblemError(503, NOT_POSSIBLE, str(error), 10.0) from error
         log.info("signed in user=%s groups=%d", person.name, len(person.groups))
         self._sessions.close(request.cookies.get(self._cookie, ""))
         answer = RedirectResponse(begun.back, 303, {"Cache-Control": "no-store"})
