@@ -9,7 +9,7 @@ import pytest
 
 from robotkube.errors import InputError, UnavailableError
 from robotkube.setup.adapters.gitea_administration import GiteaAdministration
-from robotkube.setup.loops.bootstrap import Bootstrap, FormerWebhook, Repository, plan_teams
+from robotkube.setup.loops.bootstrap import Bootstrap, FormerWebhook, Repository, SignInClient, plan_teams
 from tests.stages import http_calls
 from tests.stages.forge.gitea import ForgeProcess
 from tests.stages.forge.installation import ACCOUNTS, CATALOGUE, Installation, forge_setup
@@ -126,6 +126,49 @@ class Broken:
             raise InputError("cut off")
 
         return once
+
+
+class KeptClientIds:
+    """The port ClientIds in memory."""
+
+    def __init__(self) -> None:
+        self.ids: dict[str, str] = {}
+
+    def publish(self, namespace: str, config_map: str, client_id: str) -> bool:
+        before = self.ids.get(f"{namespace}/{config_map}")
+        self.ids[f"{namespace}/{config_map}"] = client_id
+        return before != client_id
+
+
+def test_clients_by_which_people_sign_in_are_made_once(administration: GiteaAdministration) -> None:
+    kept, clients = KeptClientIds(), [SignInClient(name, f"https://{name}.example", "p", name) for name in ("a", "b")]
+    first, again, moved = bootstrap(), bootstrap(), bootstrap()
+    first.sign_in(clients, administration, kept)
+    assert first.changed == ["client a", "client id in p/a", "client b", "client id in p/b"]
+    ids = dict(kept.ids)
+    assert ids["p/a"] != ids["p/b"]
+    again.sign_in(clients, administration, kept)
+    moved.sign_in([replace(clients[0], redirect="https://moved.example")], administration, kept)
+    assert (again.changed, moved.changed, kept.ids) == ([], ["client a"], ids)
+
+
+def test_of_several_clients_of_a_name_the_first_counts(
+    administration: GiteaAdministration, forge_process: ForgeProcess
+) -> None:
+    """As somebody may make them, by the administrator's account."""
+    assert administration.make_sign_in_client("twice", "https://first.example")
+    first = administration.client_id("twice")
+    path = f"{forge_process.url}/api/v1/user/applications/oauth2"
+    other = {"name": "twice", "redirect_uris": ["https://other.example"], "confidential_client": True}
+    owner = (forge_process.administrator, forge_process.administrator_password)
+    assert http_calls.post(path, json=other, auth=owner).status_code == 201
+    assert not administration.make_sign_in_client("twice", "https://first.example")
+    assert administration.client_id("twice") == first
+
+
+def test_a_client_that_went_meanwhile_is_made_at_the_next_run(administration: GiteaAdministration) -> None:
+    with pytest.raises(UnavailableError, match="no OAuth2 application 'gone' any more"):
+        administration.client_id("gone")
 
 
 def test_a_forge_that_never_answers_ends_the_run_within_the_bound() -> None:

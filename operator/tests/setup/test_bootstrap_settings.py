@@ -13,6 +13,7 @@ from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.patterns import WORD
 from robotkube.foundation.runtime.settings_file import read_settings, warn_of_former_keys
 from robotkube.setup.bootstrap import FORMER_KEYS, read_configuration
+from robotkube.setup.loops.bootstrap import SignInClient
 
 
 def settings_file(folder: Path, **argocd: Any) -> Path:
@@ -94,17 +95,17 @@ def test_a_problem_names_the_former_key_that_stands_in_the_file(
 FORGE = {"accounts": [], "organisations": [], "repositories": [], "webhooks": []}
 
 
-def forge_file(folder: Path, authorities: Path) -> Path:
+def forge_file(folder: Path, **more: Any) -> Path:
     path = settings_file(folder, hook_readers=["argocd-server"])
     document = yaml.safe_load(path.read_text())
     forge = {"url": "https://forge.robotkube.svc:3000", "administrator": str(folder), **FORGE}
-    path.write_text(yaml.safe_dump({**document, "forge": {**forge, "authorities": str(authorities)}}))
+    path.write_text(yaml.safe_dump({**document, "forge": {**forge, **more}}))
     return path
 
 
 def test_argocd_is_told_who_may_sign_for_the_forge(tmp_path: Path) -> None:
     (tmp_path / "ca.crt").write_text("PEM")
-    settings = read_settings(forge_file(tmp_path, tmp_path / "ca.crt"), read_configuration, FORMER_KEYS)
+    settings = read_settings(forge_file(tmp_path, authorities=f"{tmp_path}/ca.crt"), read_configuration, FORMER_KEYS)
     assert settings.argocd.trusted == {"forge.robotkube.svc": "PEM"}
     assert settings.forge is not None
     assert settings.forge.authorities == tmp_path / "ca.crt"
@@ -114,4 +115,40 @@ def test_authorities_that_are_not_there_are_named(tmp_path: Path) -> None:
     with pytest.raises(
         DocumentError, match=r"forge\.authorities: .*none\.crt cannot be read: .*ConfigMap robotkube-ca"
     ):
-        read_settings(forge_file(tmp_path, tmp_path / "none.crt"), read_configuration, FORMER_KEYS)
+        read_settings(forge_file(tmp_path, authorities=f"{tmp_path}/none.crt"), read_configuration, FORMER_KEYS)
+
+
+CLIENT = {"name": "robotkube-console", "redirect": "https://console.example/auth/callback"}
+PLACE = {"namespace": "robotkube", "name": "console-sign-in"}
+
+
+def test_clients_by_which_people_sign_in_may_be_left_out(tmp_path: Path) -> None:
+    def read(**more: Any) -> tuple[SignInClient, ...]:
+        forge = read_settings(forge_file(tmp_path, **more), read_configuration, FORMER_KEYS).forge
+        assert forge is not None
+        return forge.clients
+
+    assert read() == ()
+    assert read(sign_in_clients=[{**CLIENT, "config_map": PLACE}]) == (
+        SignInClient("robotkube-console", "https://console.example/auth/callback", "robotkube", "console-sign-in"),
+    )
+
+
+@pytest.mark.parametrize(
+    ("client", "problem"),
+    [
+        (CLIENT, r"forge\.sign_in_clients\[0\]\.config_map: missing"),
+        (
+            {**CLIENT, "config_map": {**PLACE, "name": "A b"}},
+            r"sign_in_clients\[0\]\.config_map\.name: 'A b' must match",
+        ),
+        (
+            {**CLIENT, "config_map": PLACE, "redirect": "console"},
+            r"sign_in_clients\[0\]\.redirect: 'console' must match",
+        ),
+        ({**CLIENT, "config_map": PLACE, "secret": "x"}, r"sign_in_clients\[0\]\.secret: unknown key; remove it"),
+    ],
+)
+def test_what_is_wrong_with_a_client_is_named(tmp_path: Path, client: dict[str, Any], problem: str) -> None:
+    with pytest.raises(DocumentError, match=problem):
+        read_settings(forge_file(tmp_path, sign_in_clients=[client]), read_configuration, FORMER_KEYS)

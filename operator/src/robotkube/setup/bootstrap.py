@@ -23,11 +23,12 @@ from robotkube.foundation.certificates.adapters.verification import ServerVerifi
 from robotkube.foundation.certificates.settings import read_authorities, read_server_verification
 from robotkube.foundation.database.adapters.accounts import MongoAccounts
 from robotkube.foundation.documents.core.former_keys import FormerKey
-from robotkube.foundation.documents.core.patterns import HTTP_URL, REPOSITORY, WORD
+from robotkube.foundation.documents.core.patterns import HTTP_URL, NAME, REPOSITORY, WORD
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.runtime import settings_file as files
 from robotkube.foundation.runtime.process import Process, run
 from robotkube.setup.adapters.argocd_configuration import KubernetesArgoCDConfiguration
+from robotkube.setup.adapters.client_ids import ConfigMapClientIds
 from robotkube.setup.adapters.gitea_administration import GiteaAdministration
 from robotkube.setup.loops.bootstrap import (
     LEVELS,
@@ -40,6 +41,7 @@ from robotkube.setup.loops.bootstrap import (
     FormerWebhook,
     Organisation,
     Repository,
+    SignInClient,
     Webhook,
 )
 
@@ -54,12 +56,13 @@ FORMER_KEYS = (FormerKey("hook_reader", "hook_readers", "argocd", convert=lambda
 
 @dataclass(frozen=True)
 class ForgeConfiguration:
-    """The forge and who administers it."""
+    """The forge and who administers it; `clients` are those by which people sign in."""
 
     url: str
     authorities: Path | None
     administrator: files.Credentials
     setup: ForgeSetup
+    clients: tuple[SignInClient, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -176,7 +179,7 @@ def _database_account(reader: Reader, value: Any, path: str) -> DatabaseAccount:
 
 def _forge(reader: Reader, value: Any) -> ForgeConfiguration:
     keys = ["url", "administrator", "accounts", "organisations", "repositories", "webhooks"]
-    values = reader.mapping(value, "forge", keys, ["former_webhooks", "authorities"])
+    values = reader.mapping(value, "forge", keys, ["former_webhooks", "authorities", "sign_in_clients"])
     return ForgeConfiguration(
         url=reader.word(values.get("url"), "forge.url", HTTP_URL),
         authorities=read_authorities(reader, values, "forge"),
@@ -188,6 +191,7 @@ def _forge(reader: Reader, value: Any) -> ForgeConfiguration:
             webhooks=tuple(_webhook(reader, *item) for item in _items(reader, values, "forge", "webhooks")),
             former_webhooks=_former_webhooks(reader, values) if "former_webhooks" in values else (),
         ),
+        clients=tuple(_sign_in_client(reader, *i) for i in _items(reader, values, "forge", "sign_in_clients")),
     )
 
 
@@ -263,6 +267,17 @@ def _former_webhooks(reader: Reader, values: Mapping[str, Any]) -> tuple[FormerW
     return tuple(former)
 
 
+def _sign_in_client(reader: Reader, value: Any, path: str) -> SignInClient:
+    values = reader.mapping(value, path, ["name", "redirect", "config_map"])
+    place = reader.mapping(values.get("config_map") or {}, f"{path}.config_map", ["namespace", "name"])
+    return SignInClient(
+        name=reader.word(values.get("name"), f"{path}.name", WORD),
+        redirect=reader.word(values.get("redirect"), f"{path}.redirect", HTTP_URL),
+        namespace=reader.word(place.get("namespace"), f"{path}.config_map.namespace", NAME),
+        config_map=reader.word(place.get("name"), f"{path}.config_map.name", NAME),
+    )
+
+
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     """All parts of the set-up, one after the other, within one bound."""
     configuration = files.start_with_settings(process, read_configuration, environment, FORMER_KEYS)
@@ -277,6 +292,9 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
         administrator = configuration.forge.administrator
         forge = GiteaAdministration(configuration.forge.url, administrator.username, administrator.password)
         bootstrap.forge(configuration.forge.setup, forge)
+        if configuration.forge.clients:
+            client_ids = ConfigMapClientIds(_api_client(environment))
+            bootstrap.sign_in(configuration.forge.clients, forge, client_ids)
     if configuration.database:
         settings = configuration.database
         account = settings.administrator

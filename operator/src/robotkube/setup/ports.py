@@ -49,6 +49,23 @@ class ForgeAdministration(Protocol):
         """Remove the webhooks of a repository to `url`."""
         ...
 
+    def make_sign_in_client(self, name: str, redirect: str) -> bool:
+        """Make a public client of this name, which people sign in by with PKCE and are sent back to `redirect` from."""
+        ...
+
+    def client_id(self, name: str) -> str:
+        """The id of the client of this name, which the forge has drawn; UnavailableError when there is none."""
+        ...
+
+
+class ClientIds(Protocol):
+    """ConfigMaps from which processes read by which client people sign in; UnavailableError when one is not there, or
+    the API server does not answer, InputError when it refuses."""
+
+    def publish(self, namespace: str, config_map: str, client_id: str) -> bool:
+        """Set the key `client_id` of a ConfigMap."""
+        ...
+
 
 class DatabaseAdministration(Protocol):
     """The database as its administrator."""

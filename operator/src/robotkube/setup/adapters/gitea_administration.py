@@ -1,4 +1,5 @@
-"""Gitea as its administrator: accounts, organisations, teams, repositories, protection, webhooks over its API.
+"""Gitea as its administrator: accounts, organisations, teams, repositories, protection, webhooks and clients of sign-in
+over its API.
 
 Each call reads what is there and changes only what differs: it can run after every upgrade and be killed anywhere.
 """
@@ -19,6 +20,7 @@ from robotkube.foundation.runtime.adapters.kept_connections import KeptConnectio
 TIMEOUT_SECONDS = 30.0
 PAGE_ITEMS = 50
 PAGES_MAX = 20
+SIGN_IN_CLIENTS = "/user/applications/oauth2"
 SEED_MESSAGE = "Begin this repository\n\nThe only commit of main without a pull request.\n"
 
 # The gate pushes what it checked. Gitea wants a style of merging; who may use it is said by `protect`.
@@ -223,6 +225,36 @@ class GiteaAdministration:
 
     def _webhooks(self, path: str, url: str) -> list[Any]:
         return [hook for hook in self._pages(path) if (hook.get("config") or {}).get("url") == url]
+
+    def make_sign_in_client(self, name: str, redirect: str) -> bool:
+        """Make an OAuth2 application of the administrator's, without a secret of any use: a public client, which Gitea
+        asks for PKCE, and whom each person agrees to at each sign-in."""
+        wanted = {
+            "name": name,
+            "redirect_uris": [redirect],
+            "confidential_client": False,
+            "skip_secondary_authorization": False,
+        }
+        present = self._sign_in_client(name)
+        if present is None:
+            self._call("POST", SIGN_IN_CLIENTS, wanted)
+        elif _differences(present, wanted):
+            self._call("PATCH", f"{SIGN_IN_CLIENTS}/{present['id']}", wanted)
+        else:
+            return False
+        return True
+
+    def client_id(self, name: str) -> str:
+        """The id that Gitea has drawn for it."""
+        present = self._sign_in_client(name)
+        if present is None:
+            raise UnavailableError(f"forge {self._url}: no OAuth2 application {name!r} any more")
+        return str(present["client_id"])
+
+    def _sign_in_client(self, name: str) -> Any:
+        """The first one of this name; None when there is none. Gitea lets a name stand for several."""
+        named = [one for one in self._pages(SIGN_IN_CLIENTS) if one["name"] == name]
+        return min(named, key=lambda one: int(one["id"]), default=None)
 
     def _find(self, path: str) -> Any:
         """The object at a path; None when it is not there."""

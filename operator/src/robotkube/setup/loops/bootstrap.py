@@ -14,7 +14,7 @@ from typing import TypeVar
 
 from robotkube.backoffs import Random, backoff
 from robotkube.errors import UnavailableError
-from robotkube.setup.ports import ArgoCDConfiguration, DatabaseAdministration, ForgeAdministration
+from robotkube.setup.ports import ArgoCDConfiguration, ClientIds, DatabaseAdministration, ForgeAdministration
 
 RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 1.0, 2.0
 LEVELS = ("read", "write")
@@ -102,6 +102,17 @@ class ForgeSetup:
     repositories: tuple[Repository, ...]
     webhooks: tuple[Webhook, ...]
     former_webhooks: tuple[FormerWebhook, ...] = ()
+
+
+@dataclass(frozen=True)
+class SignInClient:
+    """A client of the forge by which people sign in at a process: they are sent back to `redirect`, and the process
+    reads the client's id from a ConfigMap."""
+
+    name: str
+    redirect: str
+    namespace: str
+    config_map: str
 
 
 @dataclass(frozen=True)
@@ -230,6 +241,18 @@ class Bootstrap:
         self._step(f"repository {name}", lambda: forge.make_repository(name, repository.description, branch))
         # Seeded before anybody else may write it.
         self._step(f"seed of {name}", lambda: forge.seed(name, branch, repository.seed))
+
+    def sign_in(self, clients: Sequence[SignInClient], forge: ForgeAdministration, client_ids: ClientIds) -> None:
+        """Clients by which people sign in, and their ids where processes read them."""
+        for one in clients:
+            self._step(
+                f"client {one.name}",
+                lambda c=one: forge.make_sign_in_client(c.name, c.redirect),  # type: ignore[misc]
+            )
+            self._step(
+                f"client id in {one.namespace}/{one.config_map}",
+                lambda c=one: client_ids.publish(c.namespace, c.config_map, forge.client_id(c.name)),  # type: ignore[misc]
+            )
 
     def database(self, accounts: Sequence[DatabaseAccount], database: DatabaseAdministration) -> None:
         """One account per recording agent."""
