@@ -79,7 +79,18 @@ INTERNAL_TOKEN = {{ include "robotkube.password" (dict "root" . "purpose" "forge
 # Passwords here are 240 random bits: no one guesses them from a hash, and each Git and registry request is checked against one.
 PASSWORD_HASH_ALGO = pbkdf2$1000$50
 [oauth2]
+{{- if include "robotkube.consoleForge" . }}
+# For the console, which asks who somebody is and nothing else: the ID token says so. No other token counts for a moment, whoever
+# registers a client, since Git and Basic authentication take one for whatever the person may, also where its scopes are less.
+# The key that signs is made by the forge, and stays on its volume: jwt/private.pem.
+ENABLED = true
+JWT_SIGNING_ALGORITHM = ES256
+ACCESS_TOKEN_EXPIRATION_TIME = 0
+REFRESH_TOKEN_EXPIRATION_TIME = 0
+DEFAULT_APPLICATIONS =
+{{- else }}
 ENABLED = false
+{{- end }}
 JWT_SECRET = {{ include "robotkube.password" (dict "root" . "purpose" "forge-key" "account" "jwt") | trunc 32 | b64enc | trimSuffix "=" }}
 {{ .Files.Get "files/forge-rights.ini" | required "files/forge-rights.ini is not in the chart" | trim }}
 [repository]

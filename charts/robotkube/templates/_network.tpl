@@ -32,6 +32,7 @@
 {{- if not .Values.admission.enabled }}{{ $_ := set $found "admission" list }}{{ end }}
 {{- if not (include "robotkube.rights" . | fromYaml).enabled }}{{ $_ := set $found "rights" list }}{{ end }}
 {{- if not (include "robotkube.console" . | fromYaml).enabled }}{{ $_ := set $found "console" list }}{{ end }}
+{{- if not (include "robotkube.consoleForge" .) }}{{ $_ := set $found "console-sign-in" list }}{{ end }}
 {{- if not (include "robotkube.certificatesMade" .) }}{{ $_ := set $found "certificates" list }}{{ end }}
 {{- if .Values.evidence.existingSecret }}{{ $_ := set $found "gate-key" list }}{{ end }}
 {{- if not (include "robotkube.testAgent" .) }}{{ $_ := set $found "installation-test" list }}{{ end }}

@@ -154,6 +154,10 @@ forge:
   {{- range $otherwise }}
   - {repository: {{ .repository }}, url: {{ .url | quote }}}
   {{- end }}
+  {{- if include "robotkube.consoleForge" . }}
+  sign_in_clients:
+  - {{ include "robotkube.consoleClient" . }}
+  {{- end }}
 {{- end }}
 {{- if ne .Values.database.kind "external" }}
 database:

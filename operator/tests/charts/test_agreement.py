@@ -33,6 +33,7 @@ from robotkube.robots.detector.core.settings import read_detector_settings
 from robotkube.robots.perception.core.detection_settings import read_detection_settings
 from robotkube.robots.perception.core.tracking_settings import read_tracking_settings
 from robotkube.setup import bootstrap, gate_key, installation_test, teardown
+from robotkube.setup.loops.bootstrap import plan_teams
 from tests.stages.forge.installation import ACCOUNTS, PACKAGES, VIEWER
 from tests.stages.paths import CHARTS
 from tests.stages.registry import chart_images
@@ -97,6 +98,31 @@ def test_the_console_reads_the_settings_the_chart_writes(helm: Any, official: An
     rendered = helm.template(CHARTS / "robotkube", PROFILES / "official.yaml", console=anybody, **elsewhere)
     settings = read_settings(mounted(rendered, "console", tmp_path / "other"), console.read_configuration)
     assert (settings.sign_in, settings.poses) == (None, None)
+
+
+def test_forge_bootstrap_and_console_agree_on_signing_in_by_the_forge(helm: Any, tmp_path: Path) -> None:
+    rendered = helm.template(
+        CHARTS / "robotkube", *(PROFILES / f"{name}.yaml" for name in ("official", "forge-sign-in"))
+    )
+    settings = read_settings(mounted(rendered, "console", tmp_path / "console"), console.read_configuration)
+    assert settings.sign_in is not None
+    assert settings.sign_in.issuer == "https://forge.robotkube.svc.cluster.local:3000"
+    assert f"ROOT_URL = {settings.sign_in.issuer}/" in rendered.one("Secret", "forge")["stringData"]["app.ini"]
+    assert (settings.sign_in.pages, settings.sign_in.by_id_token) == ("https://forge.example", True)
+    made = read_settings(mounted(rendered, "bootstrap", tmp_path / "bootstrap"), bootstrap.read_configuration).forge
+    assert made is not None
+    [client] = made.clients
+    assert client.redirect == settings.sign_in.redirect
+    written = rendered.one("ConfigMap", client.config_map)
+    assert (client.namespace, "data" in written) == ("robotkube", False)
+    pod = dict(rendered.pods)["Deployment/console"]
+    [folder] = [one["mountPath"] for one in pod["containers"][0]["volumeMounts"] if one["name"] == "sign-in"]
+    assert settings.client_id_file == Path(folder) / "client_id"
+    assert {"name": "sign-in", "configMap": {"name": client.config_map}} in pod["volumes"]
+    writing = {account.name for account in made.setup.accounts} & set(made.setup.repositories[0].access)
+    assert settings.sign_in.groups == {"robotkube:deployment-write"}
+    [team] = [one for one in plan_teams(made.setup) if f"{one.organisation}:{one.name}" in settings.sign_in.groups]
+    assert team.members == {"operator-team", "reviewer", "gate"} <= writing
 
 
 def test_the_console_has_the_file_of_whom_it_believes_also_without_poses(helm: Any) -> None:

@@ -253,6 +253,23 @@ def test_the_former_name_of_the_limits_counts_with_a_warning(helm: Any, platform
     assert "WARNING: gate, managers, suite-runner, rights speak HTTP:" in notes(helm, plain, tmp_path)
 
 
+def test_who_may_sign_in_at_the_console_and_where_is_said(helm: Any, tmp_path: Path) -> None:
+    assert "The console is at" not in notes(helm, {}, tmp_path)
+    by_forge = yaml.safe_load(PROFILE.with_name("forge-sign-in.yaml").read_text())
+    said = notes(helm, by_forge, tmp_path)
+    assert (
+        "The console is at https://console.example. People sign in by their accounts of the forge, at https://f" in said
+    )
+    assert "; members of robotkube:deployment-write read." in said
+    unreachable = (
+        "NOTE: networkPolicies.clients.console and .forge name who reaches the two, and one of them names nobody"
+    )
+    assert unreachable in said
+    browsers = [{"ipBlock": {"cidr": "192.0.2.10/32"}}]
+    clients = {"console": browsers, "forge": browsers}
+    assert unreachable not in notes(helm, {**by_forge, "networkPolicies": {"clients": clients}}, tmp_path)
+
+
 def notes(helm: Any, values: dict[str, Any], folder: Path) -> str:
     """What helm prints after an installation with these values: NOTES.txt as a template of a copy of the chart."""
     chart = folder / "robotkube"

@@ -126,6 +126,11 @@ def test_the_registry_takes_the_account(served: Forge) -> None:
     assert token.json()["token"]
 
 
+def test_it_is_no_provider_unless_the_console_asks_for_it(served: Forge) -> None:
+    assert served.get("/.well-known/openid-configuration").status_code == 404
+    assert served.get("/login/oauth/authorize", administrator(served)).status_code == 403
+
+
 def test_an_account_makes_no_repository_and_no_organisation(served: Forge) -> None:
     account, base = ("somebody", "password-of-somebody"), f"http://127.0.0.1:{served.port}/api/v1"
     new = {"username": account[0], "password": account[1], "email": "a@b.invalid", "must_change_password": False}

@@ -112,7 +112,7 @@ def meaning(everybody: Mapping[str, NetworkPeer], recording: Sequence[str]) -> d
         "subject": {n for n in tested if "subject" in n},
         "helper": {n for n in tested if "helper" in n},
     }
-    return found | {"collector": set(), "admission": set()}  # not installed
+    return found | {"collector": set(), "admission": set(), "console-sign-in": set()}  # not installed, not asked for
 
 
 def expected(means: Mapping[str, set[str]]) -> set[Reach]:
@@ -276,6 +276,21 @@ def test_what_a_vehicle_and_a_chart_under_test_reach(
         ("robotkube/manager-again", "TCP", 8080),
         ("robotkube/suite-runner", "TCP", 8080),
     }
+
+
+def test_the_console_reaches_the_forge_where_people_sign_in_by_it_alone(helm: Any, official: Any) -> None:
+    component = "app.kubernetes.io/component"
+    console, forge = (
+        pod("robotkube", name, {component: name, "app.kubernetes.io/instance": "robotkube"}, number)
+        for number, name in enumerate(("console", "forge"))
+    )
+    rendered = helm.template(PLATFORM, *(PROFILES / f"{name}.yaml" for name in ("official", "forge-sign-in")))
+
+    def reached(rules: Sequence[NetworkPolicy]) -> list[tuple[str, int]]:
+        return [at for at in ASKED if may_connect(rules, console, forge, *at).allowed]
+
+    assert reached(policies(official.objects)) == []
+    assert reached(policies(rendered.objects)) == [("TCP", 3000)]
 
 
 def test_without_addresses_only_ports_of_the_api_server_are_open_and_none_of_ours(official: Any) -> None:

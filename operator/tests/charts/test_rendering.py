@@ -40,6 +40,15 @@ def test_platform_renders_as_committed(
     golden(profile, request.getfixturevalue(profile).text)
 
 
+def test_signing_in_by_the_forge_renders_as_committed(
+    helm: Any, official: Any, golden: Callable[[str, str], None]
+) -> None:
+    """What differs from the platform where people sign in elsewhere."""
+    known = set(official.text.split("---\n"))
+    shown = helm.template(PLATFORM, PROFILE, FOLDER / "forge-sign-in.yaml").text.split("---\n")
+    golden("forge-sign-in", "---\n".join(["", *(part for part in shown if part not in known)]))
+
+
 @pytest.mark.parametrize("chart", APP_CHARTS)
 def test_application_charts_render_as_committed(
     apps: Mapping[str, Any], chart: str, golden: Callable[[str, str], None]

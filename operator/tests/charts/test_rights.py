@@ -35,7 +35,7 @@ from tests.stages.waiting import until
 
 pytestmark = pytest.mark.toolchain  # a server of its own
 PROFILES = Path(__file__).parent / "profiles"
-INSTALLED = ("official", "managers", "admission", "writers")
+INSTALLED = ("official", "managers", "admission", "forge-sign-in", "writers")
 Rights = dict[str, str]
 
 READ = "get list watch"
@@ -171,7 +171,7 @@ EXACTLY: dict[str, dict[str, Rights]] = {
         "argocd": {"applications.argoproj.io": WATCHED},
         "robotkube": {INSPECTIONS: WATCHED},
     },
-    "robotkube:bootstrap": {"argocd": SET_UP},
+    "robotkube:bootstrap": {"argocd": SET_UP, "robotkube": {"configmaps console-sign-in": "get patch"}},
     "robotkube:teardown": {"argocd": TEARING_DOWN},
     "robotkube:installation-test": {"cloud-0": {TASKS: "create delete get"}},
     "robotkube-suite-0:application": {"robotkube-suite-0": SETTINGS},
