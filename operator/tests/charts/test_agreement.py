@@ -35,7 +35,7 @@ from robotkube.robots.perception.core.tracking_settings import read_tracking_set
 from robotkube.setup import bootstrap, gate_key, installation_test, teardown
 from robotkube.setup.loops.bootstrap import plan_teams
 from tests.stages.forge.installation import ACCOUNTS, PACKAGES, VIEWER
-from tests.stages.paths import CHARTS
+from tests.stages.paths import CHARTS, DOCS
 from tests.stages.registry import chart_images
 from tests.stages.settings_mounted import GATE, mounted, write
 
@@ -123,6 +123,22 @@ def test_forge_bootstrap_and_console_agree_on_signing_in_by_the_forge(helm: Any,
     assert settings.sign_in.groups == {"robotkube:deployment-write"}
     [team] = [one for one in plan_teams(made.setup) if f"{one.organisation}:{one.name}" in settings.sign_in.groups]
     assert team.members == {"operator-team", "reviewer", "gate"} <= writing
+
+
+def test_the_values_of_the_how_to_of_signing_in_are_taken(helm: Any) -> None:
+    page = (DOCS / "how-to" / "sign-in-at-the-console.md").read_text(encoding="utf-8")
+    ingress, groups, forwarded = map(yaml.safe_load, re.findall(r"```yaml\n(.*?)```", page, re.DOTALL))
+    given = yaml.safe_load((PROFILES / "official.yaml").read_text())
+    del given["console"]
+    rendered = [helm.template(CHARTS / "robotkube", helm.values(given), **one) for one in (ingress, forwarded)]
+    settings = [yaml.safe_load(one.one("ConfigMap", "console")["data"]["config.yaml"]) for one in rendered]
+    assert [one["sign_in"]["pages"] for one in settings] == ["https://git.example.com", "https://localhost:3000"]
+    assert [one["sign_in"]["url"] for one in settings] == ["https://console.example.com", "http://127.0.0.1:8080"]
+    both = {**ingress["console"], "signIn": {**ingress["console"]["signIn"], **groups["console"]["signIn"]}}
+    rendered = helm.template(CHARTS / "robotkube", helm.values(given), console=both)
+    settings = yaml.safe_load(rendered.one("ConfigMap", "console")["data"]["config.yaml"])["sign_in"]
+    assert settings["groups"] == ["robotkube:deployment-write", "robotkube:deployment-pulls"]
+    assert settings["writers"] == [{"group": "robotkube:deployment-write", "namespaces": ["cloud-0"]}]
 
 
 def test_the_console_has_the_file_of_whom_it_believes_also_without_poses(helm: Any) -> None:

@@ -72,7 +72,13 @@ def test_signing_in_by_a_client_that_is_registered_later(tmp_path: Path) -> None
         "https://git.example",
         True,
     )
+    assert settings.who_signs_in() == "by the provider, once /etc/robotkube/sign-in/client_id is there"
+    brought = tmp_path / "client_id"
+    brought.write_text("c")
+    there = read(tmp_path, sign_in={**BY_THE_FORGE, "client_id_file": str(brought)}, anybody_reads=None)
     other = read(tmp_path, sign_in=SIGN_IN, anybody_reads=None)
+    assert there.who_signs_in() == other.who_signs_in() == "by the provider"
+    assert read(tmp_path).who_signs_in() == "nobody: everybody who reaches it reads"
     assert (other.client_id_file, other.sign_in and other.sign_in.by_id_token) == (None, False)
 
 

@@ -120,16 +120,9 @@ def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
     configuration = files.start_with_settings(process, read_configuration, environment)
     in_cluster = "KUBERNETES_SERVICE_HOST" in environment
     console = ConsoleProcess(configuration, api_client(in_cluster=in_cluster))
-    signed = _who_signs_in(configuration)
+    signed = configuration.who_signs_in()
     process.log("started", port=console.server.port, health_port=console.health.port, sign_in=signed)
     console.run(process.stopping)
-
-
-def _who_signs_in(configuration: ConsoleConfiguration) -> str:
-    file = configuration.client_id_file
-    if configuration.sign_in is None:
-        return "nobody: everybody who reaches it reads"
-    return "by the provider" if file is None or file.exists() else f"by the provider, once {file} is there"
 
 
 def main() -> None:

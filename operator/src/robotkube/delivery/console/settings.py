@@ -69,6 +69,13 @@ class ConsoleConfiguration:
     authorities: tuple[Path, ...] = ()
     client_id_file: Path | None = None
 
+    def who_signs_in(self) -> str:
+        """Whether people sign in, and whether they can by now, in words."""
+        file = self.client_id_file
+        if self.sign_in is None:
+            return "nobody: everybody who reaches it reads"
+        return "by the provider" if file is None or file.exists() else f"by the provider, once {file} is there"
+
 
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ConsoleConfiguration:
     """The settings document of the console."""
