@@ -55,7 +55,8 @@ def _tables(table: Mapping[str, Any]) -> Iterator[str]:
     yield from ("", "| who | reaches | at | because |", "| --- | --- | --- | --- |")
     for edge in table["edges"]:
         who = ", ".join(f"`{name}`" for name in edge["from"])
-        yield f"| {who} | `{edge['to']}` | {_at(edge)} | {edge['reason']} |"
+        where = f" (with `{edge['with']}: true`)" if "with" in edge else ""
+        yield f"| {who} | `{edge['to']}` | {_at(edge)} | {edge['reason']}{where} |"
 
 
 def _at(edge: Mapping[str, Any]) -> str:

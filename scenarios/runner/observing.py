@@ -14,7 +14,7 @@ from kubernetes import watch
 from paho.mqtt import client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
-from robotkube.foundation.certificates.adapters.verification import client_context, sentence
+from robotkube.foundation.certificates.adapters.verification import sentence
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.core.batches import BatchError, decode_batch
 from robotkube.robots.mqtt.core.client_ids import client_id
@@ -50,9 +50,11 @@ class BrokerObserver:
         self._client = mqtt.Client(
             CallbackAPIVersion.VERSION2, client_id=client_id(f"observer-{time.time_ns()}", self.account.password)
         )
-        self._client.username_pw_set(self.account.username, self.account.password)
-        if self.account.tls is not None:
-            self._client.tls_set_context(client_context(self.account.tls))
+        if self.account.login is not None:
+            self._client.username_pw_set(*self.account.login)
+        context = self.account.context()
+        if context is not None:
+            self._client.tls_set_context(context)
         self._client.on_connect = self._on_connect
         self._client.on_disconnect = self._on_disconnect
         self._client.on_subscribe = self._on_subscribe

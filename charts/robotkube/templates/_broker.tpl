@@ -4,6 +4,13 @@ allow_anonymous false
 listener 8883
 certfile /etc/mosquitto-tls/tls.crt
 keyfile /etc/mosquitto-tls/tls.key
+{{- if include "robotkube.accountsCertified" . }}
+# The account is the common name of the client's certificate; passwords are not looked at.
+cafile /etc/mosquitto-accounts/ca.crt
+crlfile /etc/mosquitto-accounts/revoked.crl
+require_certificate true
+use_identity_as_username true
+{{- end }}
 {{- end }}
 {{- if include "robotkube.plain" . }}
 # In clear text, by a value that asks for it.

@@ -164,11 +164,13 @@ spec:
 {{- if and (eq $party.namespaces $.word) (not (hasKey $elsewhere $name)) }}
 {{- $ingress := "" }}{{ $egress := "" }}
 {{- range $edge := $table.edges }}
+{{- if or (not $edge.with) (include "robotkube.accountsCertified" $.root) }}{{- /* of tls.clientCertificates, the only one so far */}}
 {{- $arguments := dict "root" $.root "table" $table "namespaces" $namespaces "elsewhere" $elsewhere "edge" $edge }}
 {{- if or (eq $edge.to $name) (and (eq $edge.to "same") (has $name $edge.from)) }}
 {{- $ingress = print $ingress "\n" (include "robotkube.networkIngress" $arguments | trim) }}
 {{- end }}
 {{- if has $name $edge.from }}{{ $egress = print $egress "\n" (include "robotkube.networkEgress" $arguments | trim) }}{{ end }}
+{{- end }}
 {{- end }}
 {{- with get $.root.Values.networkPolicies.extraIngress $name }}{{ $ingress = print $ingress "\n" (toYaml .) }}{{ end }}
 {{- with get $.root.Values.networkPolicies.extraEgress $name }}{{ $egress = print $egress "\n" (toYaml .) }}{{ end }}

@@ -1,7 +1,7 @@
 {{- /* TLS: who makes the certificates of broker, database, forge and processes, and how everybody else knows them. */ -}}
 {{- /* The values of tls, also when an upgrade reuses values from before there were any. YAML. */ -}}
 {{- define "robotkube.tls" -}}
-{{- $tls := dict "mode" "made" "plain" false "processes" false "hours" 2160 "names" list "authorities" "" "provided" (dict "secret" "" "database" "" "forge" "" "processes" dict) }}
+{{- $tls := dict "mode" "made" "plain" false "processes" false "clientCertificates" false "hours" 2160 "names" list "authorities" "" "provided" (dict "secret" "" "database" "" "forge" "" "processes" dict) }}
 {{- $_ := set $tls "issuer" (dict "name" "" "kind" "Issuer" "group" "cert-manager.io") }}
 {{- range $key, $value := .Values.tls | default dict }}
 {{- if kindIs "map" $value }}{{ $value = merge (deepCopy $value) (get $tls $key) }}{{ end }}
@@ -90,6 +90,39 @@ authorities: /etc/robotkube/authorities/ca.crt
 {{- if and (eq .Values.broker.kind "mosquitto") (eq (include "robotkube.tls" . | fromYaml).mode "made") }}true{{ end -}}
 {{- end }}
 
+{{- /* "true" when accounts at the broker are proved by certificates, else empty. */ -}}
+{{- define "robotkube.accountsCertified" -}}
+{{- if (include "robotkube.tls" . | fromYaml).clientCertificates }}{{ include "robotkube.certificatesMade" . }}{{ end -}}
+{{- end }}
+
+{{- /* These accounts, as a list of {account, secret, namespace} with number and reserved where they have any. JSON. */ -}}
+{{- define "robotkube.certifiedAccounts" -}}
+{{- $found := list }}
+{{- range concat (list "observer") ((include "robotkube.rights" . | fromYaml).enabled | ternary (list "rights") list) (splitList " " (include "robotkube.managerNames" .)) }}
+{{- $found = append $found (dict "account" . "secret" (printf "broker-account-%s" .) "namespace" $.Release.Namespace) }}
+{{- end }}
+{{- range .Values.agents }}
+{{- $account := dict "account" .name "secret" "broker-account" "namespace" .name }}
+{{- with .brokerPasswordNumber }}{{ $_ := set $account "number" (int .) }}{{ end }}
+{{- if .reserved }}{{ $_ := set $account "reserved" true }}{{ end }}
+{{- $found = append $found $account }}
+{{- end }}
+{{- toJson $found }}
+{{- end }}
+
+{{- /* An account at the broker among the files of a process of the platform; with a certificate its pod waits until there is one.
+       Arguments: {root, secret}. */ -}}
+{{- define "robotkube.brokerCredentials" -}}
+{{- $items := list "username" "password" }}
+{{- if include "robotkube.accountsCertified" .root }}{{ $items = concat $items (list "identity" "tls.crt" "tls.key") }}{{ end -}}
+- secret:
+    name: {{ .secret }}
+    items:
+    {{- range $items }}
+    - {key: {{ . }}, path: broker/{{ . }}}
+    {{- end }}
+{{- end }}
+
 {{- /* The Secret with the broker's certificate and key. */ -}}
 {{- define "robotkube.brokerCertificate" -}}
 {{- $tls := include "robotkube.tls" . | fromYaml -}}
@@ -142,6 +175,9 @@ authorities: /etc/robotkube/authorities/ca.crt
 host: {{ include "robotkube.brokerHost" . }}
 port: {{ include "robotkube.brokerPort" . | quote }}
 tls: {{ include "robotkube.encrypted" . | eq "true" | ternary "required" "off" | quote }}
+{{- if include "robotkube.accountsCertified" . }}
+identity: certificate
+{{- end }}
 {{- end }}
 
 {{- /* The same in the settings of a process of the platform. */ -}}
@@ -201,13 +237,14 @@ authorities: /etc/robotkube/authorities/ca.crt
 {{- end }}
 
 {{- /* Signals the program that will follow in the same shell when the kubelet has brought another certificate. A shell's child, so the
-       pod needs neither another container nor one that sees the processes of this one. Arguments: {folder, run, signal}. */ -}}
+       pod needs neither another container nor one that sees the processes of this one. `also`: a further file that is looked at.
+       Arguments: {folder, run, signal, also}. */ -}}
 {{- define "robotkube.certificateWatch" -}}
 read={{ .run }}/certificate-read
 : > "$read"
 (
   while sleep 5 && kill -0 $$; do
-    if [ {{ .folder }}/tls.crt -nt "$read" ]; then
+    if [ {{ .folder }}/tls.crt -nt "$read" ]{{ with .also }} || [ {{ . }} -nt "$read" ]{{ end }}; then
       : > "$read"
       kill -{{ .signal }} $$
     fi
@@ -215,9 +252,10 @@ read={{ .run }}/certificate-read
 ) &
 {{- end }}
 
-{{- /* Runs mosquitto, which reads certificate and key again on SIGHUP. */ -}}
+{{- /* Runs mosquitto, which reads certificate and key again on SIGHUP, and the list of revoked ones. */ -}}
 {{- define "robotkube.brokerProgram" -}}
-{{ include "robotkube.certificateWatch" (dict "folder" "/etc/mosquitto-tls" "run" "/run/mosquitto" "signal" "HUP") }}
+{{- $revoked := include "robotkube.accountsCertified" . | eq "true" | ternary "/etc/mosquitto-accounts/revoked.crl" "" -}}
+{{ include "robotkube.certificateWatch" (dict "folder" "/etc/mosquitto-tls" "run" "/run/mosquitto" "signal" "HUP" "also" $revoked) }}
 exec mosquitto -c /etc/mosquitto/mosquitto.conf
 {{- end }}
 
@@ -296,6 +334,16 @@ certificates:
 - {secret: {{ $component }}-tls, names: {{ toJson $names }}, life_seconds: {{ mul (int $tls.hours) 3600 }}{{ if eq $component "forge" }}, service: forge{{ end }}{{ if ne $namespace $.Release.Namespace }}, namespace: {{ $namespace }}{{ end }}}
 {{- end }}
 trusted: {config_map: robotkube-ca, namespaces: {{ include "robotkube.connecting" . }}}
+{{- if include "robotkube.accountsCertified" . }}
+accounts:
+  register: broker-certificates
+  shut: {{ include "robotkube.processScheme" . }}://{{ include "robotkube.host" (dict "root" . "name" "rights") }}:8080/accounts
+  life_seconds: {{ mul (int $tls.hours) 3600 }}
+  of:
+  {{- range include "robotkube.certifiedAccounts" . | fromJsonArray }}
+  - {{ toJson . }}
+  {{- end }}
+{{- end }}
 {{- end }}
 
 {{- /* What is wrong with tls, one line each. */ -}}
@@ -327,6 +375,12 @@ trusted: {config_map: robotkube-ca, namespaces: {{ include "robotkube.connecting
 {{- end }}
 {{- if and $tls.provided.forge (or (ne $tls.mode "provided") (not (include "robotkube.forgeEncrypted" .))) }}
 {{ printf "tls.provided.forge is given, but tls.mode is %s, forge.kind %s and forge.tls %v: nobody mounts it. Leave it out, or set tls.mode: provided and forge.tls: true." $tls.mode .Values.forge.kind .Values.forge.tls }}
+{{- end }}
+{{- if and $tls.clientCertificates (or $external (ne $tls.mode "made")) }}
+{{ printf "tls.clientCertificates is true, but tls.mode is %s and broker.kind %s: accounts' certificates are made by the process `certificates` alone. Leave it out, or set tls.mode: made with broker.kind: mosquitto." $tls.mode .Values.broker.kind }}
+{{- end }}
+{{- if and $tls.clientCertificates $tls.plain }}
+{{ print "tls.clientCertificates is true, and tls.plain too: who has a password would connect at 1883 without a certificate. Leave one of them out." }}
 {{- end }}
 {{- $processes := include "robotkube.processesEncrypted" . }}
 {{- $serving := list }}{{ range include "robotkube.servingProcesses" . | fromJsonArray }}{{ $serving = append $serving .name }}{{ end }}

@@ -18,6 +18,7 @@ import yaml
 
 from robotkube.delivery.certificates.adapters.certificate_objects import KubernetesCertificates
 from robotkube.delivery.certificates.core.issuance import Issuance
+from robotkube.delivery.certificates.loops.account_keeper import AccountKeeper
 from robotkube.delivery.certificates.loops.keeper import CertificateKeeper
 from robotkube.delivery.certificates.settings import read_configuration
 from robotkube.errors import InputError
@@ -181,6 +182,52 @@ def test_the_authority_is_written_only_into_the_secret_that_was_read_empty(stage
     with pytest.raises(Exception, match="somebody else changed it at the same time"):
         slow.keep_authority(issuing.new_authority("slow", time.time()))
     assert stage.secret("tls-authority") == kept
+
+
+class Nobody:
+    """Main, which shuts out nobody but an agent that has none."""
+
+    names: frozenset[str] = frozenset()
+
+    def shut(self, authority: str) -> frozenset[str]:
+        return self.names
+
+
+def test_accounts_at_the_broker_have_certificates_that_helm_leaves_alone(stage: Installed) -> None:
+    """By the rights that the chart gives with `tls.clientCertificates`: those of each account, and a list of the
+    revoked ones."""
+    certified = ("--set", "tls.clientCertificates=true")
+    stage.cluster.helm("upgrade", "robotkube", str(CHART), *VALUES, "--no-hooks", *certified)
+    answer = stage.administrator.get("/api/v1/namespaces/robotkube/configmaps/certificates").json()
+    issuance = read_configuration(Reader("config.yaml"), yaml.safe_load(answer["data"]["config.yaml"])).issuance
+    assert issuance.accounts is not None
+    main, objects = Nobody(), KubernetesCertificates(stage.api, issuance)
+    accounts = AccountKeeper(objects, issuing, issuance.accounts, main, time.time)
+    keeper = CertificateKeeper(objects, issuing, issuance, time.time, accounts)
+
+    def account(name: str, namespace: str = "robotkube") -> dict[str, str]:
+        keeper.step()
+        assert keeper.reasons_not_ready() == []
+        found = stage.read(namespace, "secrets", name)
+        return {key: base64.b64decode(value).decode() for key, value in found.items()}
+
+    before = account("broker-account", "vehicle-00")
+    assert {"username", "password", "identity", "tls", "tls.crt", "tls.key"} <= set(before)
+    assert "tls.key" in account("broker-account-observer")
+    stage.cluster.helm("upgrade", "robotkube", str(CHART), *VALUES, "--no-hooks", *certified, "--set", "logLevel=debug")
+    assert account("broker-account", "vehicle-00") == before
+    main.names = frozenset({"vehicle-00"})
+    assert account("broker-account", "vehicle-00") == before
+    authority = Pair(stage.secret("tls-authority")["tls.crt"], stage.secret("tls-authority")["tls.key"])
+    shown = Pair(before["tls.crt"], before["tls.key"])
+    listed = issuing.listed(stage.read("robotkube", "configmaps", "broker-certificates")["revoked.crl"], authority)
+    assert listed == {issuing.describe(shown, authority).serial}
+    for path in ("cloud-0/secrets/database-account", "robotkube/secrets/robotkube-seed"):
+        with pytest.raises(InputError, match="is forbidden"):
+            stage.api.get(f"/api/v1/namespaces/{path}")
+    stage.cluster.helm("upgrade", "robotkube", str(CHART), *VALUES, "--no-hooks")
+    with pytest.raises(InputError, match="is forbidden"):
+        objects.of_account(issuance.accounts.certificates[-1])
 
 
 @pytest.mark.parametrize("secret", ["robotkube-seed", "broker-accounts", "forge-account-gate"])

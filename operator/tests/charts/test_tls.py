@@ -165,6 +165,65 @@ def test_the_process_reads_the_settings_of_an_earlier_chart(official: Any, tmp_p
     assert [one.secret for one in issuance.certificates] == ["broker-tls"]
 
 
+def test_accounts_are_proved_by_certificates_where_a_value_asks_for_it(helm: Any, tmp_path: Path) -> None:
+    """The broker takes no password, every account has a certificate to come, and its pod waits for it."""
+    rendered = helm.template(PLATFORM, OFFICIAL, tls={"clientCertificates": True})
+    configuration = rendered.one("ConfigMap", "broker")["data"]["mosquitto.conf"].splitlines()
+    assert {"require_certificate true", "use_identity_as_username true"} <= set(configuration)
+    [folder] = {line.split()[1].rpartition("/")[0] for line in configuration if line.startswith(("cafile", "crlfile"))}
+    broker = dict(rendered.pods)["Deployment/broker"]
+    assert folder in {mount["mountPath"] for mount in broker["containers"][0]["volumeMounts"]}
+    assert f"{folder}/revoked.crl" in rendered.one("ConfigMap", "broker")["data"]["run.sh"]
+    secrets = [one for one in rendered.of_kind("Secret") if "password" in one.get("stringData", {})]
+    of_broker = {
+        (one["metadata"].get("namespace", "robotkube"), one["metadata"]["name"]): one["stringData"]
+        for one in secrets
+        if one["metadata"]["name"].startswith("broker-account")
+    }
+    assert {one["identity"] for one in of_broker.values()} == {"certificate"}
+    issuance = read_settings(mounted(rendered, "certificates", tmp_path), read_configuration).issuance.accounts
+    assert issuance is not None
+    assert {(one.namespace, one.secret) for one in issuance.certificates} == set(of_broker)
+    assert {one.account for one in issuance.certificates} == {one["username"] for one in of_broker.values()}
+    assert issuance.shut == "https://rights.robotkube.svc.cluster.local:8080/accounts"
+    for name in ("manager", "rights", "console"):
+        volumes = str(dict(rendered.pods)[f"Deployment/{name}"]["volumes"])
+        assert all(f"broker/{key}" in volumes for key in ("username", "password", "identity", "tls.crt", "tls.key"))
+    roles = [one for one in rendered.of_kind("Role") if one["metadata"]["name"] == "certificates"]
+    role = {one["metadata"]["namespace"]: one for one in roles}
+    for place in AGENTS:
+        [of_secrets] = [rule for rule in role[place]["rules"] if "secrets" in rule["resources"]]
+        assert (of_secrets["resourceNames"], of_secrets["verbs"]) == (["broker-account"], ["get", "patch"])
+
+
+def test_without_it_the_process_has_no_right_to_accounts_and_reaches_nobody(official: Any) -> None:
+    assert not any("identity" in one.get("stringData", {}) for one in official.of_kind("Secret"))
+    assert "certificate true" not in official.one("ConfigMap", "broker")["data"]["mosquitto.conf"]
+    roles = [one for one in official.of_kind("Role") if one["metadata"]["name"] == "certificates"]
+    assert "broker-account" not in str(roles)
+    [policy] = [one for one in official.of_kind("NetworkPolicy") if one["metadata"]["name"] == "certificates"]
+    assert "rights" not in str(policy["spec"]["egress"])
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"tls": {"clientCertificates": True, "mode": "off"}}, "tls.clientCertificates is true, but tls.mode is off"),
+        ({"tls": {"clientCertificates": True, "plain": True}}, "would connect at 1883 without a certificate"),
+        (
+            {
+                "broker": {"kind": "external", "external": {"host": "mqtt.example", "port": 8884}},
+                "tls": {"clientCertificates": True, "mode": "off"},
+            },
+            "broker.kind external: accounts' certificates are made by the process",
+        ),
+        ({"tls": {"clientCertificates": "yes"}}, "clientCertificates"),
+    ],
+)
+def test_accounts_have_no_certificates_where_nobody_makes_them(helm: Any, values: dict[str, Any], said: str) -> None:
+    assert said in " ".join(helm.refusal(PLATFORM, OFFICIAL, **values).split())
+
+
 def test_in_clear_text_as_well_where_a_value_asks_for_it(helm: Any) -> None:
     both = helm.template(PLATFORM, OFFICIAL, tls={"plain": True})
     assert (ports(both), accounts(both), reached(both)) == ([8883, 1883], {("8883", "required")}, {8883, 1883})

@@ -9,9 +9,12 @@ from typing import Any
 
 import pytest
 
-from robotkube.delivery.certificates.adapters.certificate_objects import KubernetesCertificates
-from robotkube.delivery.certificates.core.issuance import ServerCertificate
+from robotkube.delivery.certificates.adapters.certificate_objects import MERGE, KubernetesCertificates
+from robotkube.delivery.certificates.adapters.shut_accounts import ShutAccountsPage
+from robotkube.delivery.certificates.core.issuance import AccountCertificate, AccountIssuance, ServerCertificate
+from robotkube.delivery.certificates.core.register import IssuedCertificate, Register
 from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.certificates.adapters import issuing
 from robotkube.foundation.certificates.core.lives import Pair
 from tests.delivery.certificates.test_keeper import ISSUANCE
 
@@ -128,3 +131,65 @@ def test_the_addresses_of_a_service_are_those_that_it_has(
 def test_a_service_that_is_missing_is_named(objects: KubernetesCertificates) -> None:
     with pytest.raises(InputError, match="Service forge is missing; the chart makes it"):
         objects.addresses("forge")
+
+
+ACCOUNT = AccountCertificate("vehicle-00", "broker-account", "vehicle-00")
+ACCOUNTS = AccountIssuance((ACCOUNT,), 60.0, "broker-certificates", "http://rights/accounts")
+ACCOUNT_PATH = "/api/v1/namespaces/vehicle-00/secrets/broker-account"
+REGISTER_PATH = "/api/v1/namespaces/robotkube/configmaps/broker-certificates"
+
+
+@pytest.fixture
+def of_accounts(api: Api) -> KubernetesCertificates:
+    api.objects |= {path: {"metadata": {"resourceVersion": "9"}} for path in (ACCOUNT_PATH, REGISTER_PATH)}
+    return KubernetesCertificates(api, replace(ISSUANCE, accounts=ACCOUNTS))
+
+
+def test_an_accounts_certificate_stands_beside_its_password(api: Api, of_accounts: KubernetesCertificates) -> None:
+    assert of_accounts.of_account(ACCOUNT) is None
+    of_accounts.put_of_account(ACCOUNT, Pair("c", "k"))
+    assert api.patches == [(ACCOUNT_PATH, {"stringData": {"tls.crt": "c", "tls.key": "k"}}, MERGE)]
+    api.objects[ACCOUNT_PATH]["data"] = data(tls_crt="c", tls_key="k", username="vehicle-00")
+    assert of_accounts.of_account(ACCOUNT) == Pair("c", "k")
+    del api.objects[ACCOUNT_PATH]
+    with pytest.raises(InputError, match="Secret vehicle-00/broker-account is missing"):
+        of_accounts.of_account(ACCOUNT)
+
+
+def test_the_register_is_replaced_only_as_it_was_read(api: Api, of_accounts: KubernetesCertificates) -> None:
+    assert of_accounts.register() == (Register(), "")
+    register = Register((IssuedCertificate("vehicle-00", 2**150, 60.0, revoked=30.0),))
+    of_accounts.put_register(register, "list")
+    [(path, body, _)] = api.patches
+    assert (path, body["metadata"], body["data"]["revoked.crl"]) == (REGISTER_PATH, {"resourceVersion": "9"}, "list")
+    api.objects[REGISTER_PATH]["data"] = body["data"]
+    assert of_accounts.register() == (register, "list")
+    api.conflict = True
+    with pytest.raises(UnavailableError, match="ConfigMap robotkube/broker-certificates: somebody else changed it"):
+        of_accounts.put_register(register, "list")
+    api.objects[REGISTER_PATH]["data"] = {"register.json": "{"}
+    with pytest.raises(InputError, match=r"ConfigMap robotkube/broker-certificates: register\.json cannot be read"):
+        of_accounts.register()
+
+
+def test_who_is_shut_is_read_from_a_page() -> None:
+    pages = Pages({"commit": "c", "shut": ["vehicle-00"]})
+    authority = issuing.new_authority("ours", 0.0, 60.0).certificate
+    page = ShutAccountsPage(pages, "https://rights/accounts")
+    assert page.shut(authority) == {"vehicle-00"}
+    for answer in ({"shut": None}, {"shut": "vehicle-00"}, {"shut": [1]}, {}, InputError("no such page")):
+        pages.answer = answer
+        with pytest.raises(UnavailableError, match="https://rights/accounts: no"):
+            page.shut(authority)
+
+
+class Pages:
+    """One page, or an error."""
+
+    def __init__(self, answer: Any) -> None:
+        self.answer = answer
+
+    def get(self, url: str) -> Mapping[str, Any]:
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return dict(self.answer)

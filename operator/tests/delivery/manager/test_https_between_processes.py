@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 
-from robotkube.delivery.console.adapters.http_pages import HttpPages
 from robotkube.delivery.manager.adapters.leader_proxy import LeaderRequests
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.certificates.adapters import certificate_authorities
@@ -20,6 +19,7 @@ from robotkube.foundation.certificates.adapters.issuing import new_authority
 from robotkube.foundation.certificates.core.lives import Pair
 from robotkube.foundation.forge.adapters.push_hooks import ObjectsRelay, PushRelay
 from robotkube.foundation.forge.core.commit_objects import CommitObjects
+from robotkube.foundation.pages.adapters.http_pages import HttpPages
 from robotkube.foundation.runtime.adapters.webhook_server import Signed, WebServer
 from robotkube.foundation.runtime.core.webhook_deliveries import WebhookDelivery
 from robotkube.registry.suites.adapters.runner_protocol import RunsEndpoint, SuiteRunnerClient

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 
 from robotkube.backoffs import Random
 from robotkube.delivery.tasks.adapters.paho_gateway import BACKOFF_SECONDS_MAX, BACKOFF_SECONDS_MIN, PahoGateway
+from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from tests.stages.waiting import until
 
 NEARLY_ONE = 1 - 2**-53
@@ -15,7 +16,7 @@ NEARLY_ONE = 1 - 2**-53
 
 def pauses(jitter: Random, count: int) -> Iterator[float]:
     """The pauses that a gateway asks paho for while no attempt succeeds."""
-    gateway = PahoGateway("127.0.0.1", 1883, "manager", "", "manager-gateway", jitter=jitter)
+    gateway = PahoGateway(BrokerAccount("127.0.0.1", 1883, "manager", ""), "manager-gateway", jitter)
     for _ in range(count):
         gateway._failed(None, None)
         yield float(gateway._client._reconnect_min_delay)
@@ -45,9 +46,8 @@ def test_paho_waits_for_that_and_no_longer() -> None:
 
     with socket.socket() as silent:
         silent.bind(("127.0.0.1", 0))  # and does not listen: each attempt is refused
-        gateway = PahoGateway(
-            "127.0.0.1", silent.getsockname()[1], "manager", "", "manager-gateway", jitter=next_to_nothing
-        )
+        account = BrokerAccount("127.0.0.1", silent.getsockname()[1], "manager", "")
+        gateway = PahoGateway(account, "manager-gateway", next_to_nothing)
         gateway.start(("task/#",))
         try:
             until(lambda: len(asked) >= 20, "twenty attempts", 10)

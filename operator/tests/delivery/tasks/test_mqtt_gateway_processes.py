@@ -22,6 +22,7 @@ from robotkube.delivery.tasks.adapters.paho_gateway import UNACKNOWLEDGED_MAX, P
 from robotkube.delivery.tasks.core.mqtt_messages import GATEWAY_REASONS
 from robotkube.delivery.tasks.loops.mqtt_gateway import MqttTaskGateway
 from robotkube.foundation.kubernetes.adapters.client import api_client, call
+from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from tests.stages.delivery.random_messages import random_message
 from tests.stages.kubernetes.api_calls import TASKS, Api
 from tests.stages.kubernetes.api_server import ApiServerProcess
@@ -79,7 +80,8 @@ class RunningGateway:
         self.world = KubernetesCluster(client, "argocd", lambda what: None, time.time)
         self.world.start()
         assert self.world.wait_until_synced(20)
-        channel = PahoGateway("127.0.0.1", broker.port, "manager", pods.password("manager"), "manager-gateway")
+        account = BrokerAccount("127.0.0.1", broker.port, "manager", pods.password("manager"))
+        channel = PahoGateway(account, "manager-gateway")
         writer = KubernetesTasks(functools.partial(call, client))
         operators = {"cloud-0": "cloud-0"}
         self.loop = MqttTaskGateway(operators, channel, self.world, writer, self, time.time_ns, time.monotonic)

@@ -16,6 +16,7 @@ from benchmarks import pods
 from robotkube.delivery.tasks.adapters import paho_gateway
 from robotkube.delivery.tasks.adapters.paho_gateway import PahoGateway
 from robotkube.delivery.tasks.loops.mqtt_gateway import MqttTaskGateway
+from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.testing.clusters import MemoryTasks
 from robotkube.testing.task_gateways import MemoryTaskWriter
 from tests.stages.waiting import until
@@ -77,11 +78,15 @@ def broker(tmp_path: Path) -> Iterator[pods.Broker]:
     found.stop()
 
 
+def account(broker: pods.Broker) -> BrokerAccount:
+    return BrokerAccount("127.0.0.1", broker.port, "manager", pods.password("manager"))
+
+
 @pytest.fixture
 def tasks(broker: pods.Broker) -> Iterator[MemoryTasks]:
     """What the gateway writes."""
     found = MemoryTasks()
-    channel = PahoGateway("127.0.0.1", broker.port, "manager", pods.password("manager"), "manager-task-door")
+    channel = PahoGateway(account(broker), "manager-task-door")
     writer = MemoryTaskWriter(found)
     gateway = MqttTaskGateway({AGENT: AGENT}, channel, found, writer, Leading(), time.time_ns, time.monotonic)
     gateway.start()
@@ -93,7 +98,7 @@ def tasks(broker: pods.Broker) -> Iterator[MemoryTasks]:
 @contextlib.contextmanager
 def running(broker: pods.Broker, name: str, messages: int) -> Iterator[PahoGateway]:
     """A gateway with a session of its own, to which an operator has sent 0, 1, 2 and so on."""
-    gateway = PahoGateway("127.0.0.1", broker.port, "manager", pods.password("manager"), name)
+    gateway = PahoGateway(account(broker), name)
     gateway.start([f"robotkube/tasks/{AGENT}"])
     until(lambda: not gateway.complaint, "the gateway open")
     operator = mqtt.Client(CallbackAPIVersion.VERSION2, "operator", protocol=mqtt.MQTTv5)

@@ -45,7 +45,7 @@ def test_another_password_makes_another_session_at_the_next_attempt() -> None:
 
 def test_what_is_said_of_a_connection_has_its_name_alone() -> None:
     channel = PahoChannel(Mock(), NAME, 60, Mock())
-    gateway = PahoGateway("localhost", 1883, "manager", "secret", "manager-task-door")
+    gateway = PahoGateway(BrokerAccount("localhost", 1883, "manager", "secret"), "manager-task-door")
     assert gateway._client._client_id.decode() == client_id("manager-task-door", "secret")
     assert channel.complaint == f"{NAME}: not connected to the broker yet"
     assert gateway.complaint == "manager-task-door: not connected to the broker yet"

@@ -7,9 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from robotkube.delivery.certificates.core.issuance import Issuance, ServerCertificate
+from robotkube.delivery.certificates.core.issuance import (
+    AccountCertificate,
+    AccountIssuance,
+    Issuance,
+    ServerCertificate,
+)
 from robotkube.foundation.documents.core.former_keys import FormerKey
-from robotkube.foundation.documents.core.patterns import DNS_NAME, NAME, WORD
+from robotkube.foundation.documents.core.patterns import DNS_NAME, HTTP_URL, NAME, WORD
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.runtime import settings_file as files
 
@@ -28,7 +33,8 @@ class CertificatesConfiguration:
 
 def read_configuration(reader: Reader, document: Mapping[str, Any]) -> CertificatesConfiguration:
     """The settings document of the process."""
-    root = reader.mapping(document, "", ["listen", "log_level", "namespace", "authority", "certificates", "trusted"])
+    keys = ["listen", "log_level", "namespace", "authority", "certificates", "trusted"]
+    root = reader.mapping(document, "", keys, ["accounts"])
     authority = reader.mapping(root.get("authority") or {}, "authority", ["secret"])
     trusted = reader.mapping(root.get("trusted") or {}, "trusted", ["config_map", "namespaces"])
     certificates = enumerate(reader.sequence(root.get("certificates"), "certificates"))
@@ -39,6 +45,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> Certifica
         trusted=reader.word(trusted.get("config_map"), "trusted.config_map", WORD),
         namespaces=tuple(reader.word(one, f"trusted.namespaces[{i}]", NAME) for i, one in namespaces),
         certificates=tuple(_certificate(reader, one, f"certificates[{i}]") for i, one in certificates),
+        accounts=_accounts(reader, root["accounts"]) if root.get("accounts") is not None else None,
     )
     secrets = [one.secret for one in issuance.certificates]
     if not secrets:
@@ -49,6 +56,36 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> Certifica
         listen=files.listen(reader, root.get("listen")),
         log_level=files.log_level(reader, root.get("log_level")),
         issuance=issuance,
+    )
+
+
+def _accounts(reader: Reader, value: Any) -> AccountIssuance:
+    accounts = reader.mapping(value, "accounts", ["of", "life_seconds", "register", "shut"])
+    of = enumerate(reader.sequence(accounts.get("of"), "accounts.of"))
+    certificates = tuple(_account(reader, one, f"accounts.of[{i}]") for i, one in of)
+    if len({one.account for one in certificates}) < len(certificates):
+        reader.problems.append("accounts.of: names an account twice")
+    return AccountIssuance(
+        certificates,
+        float(_life(reader, accounts.get("life_seconds"), "accounts.life_seconds")),
+        reader.word(accounts.get("register"), "accounts.register", NAME),
+        reader.word(accounts.get("shut"), "accounts.shut", HTTP_URL),
+    )
+
+
+def _account(reader: Reader, value: Any, path: str) -> AccountCertificate:
+    account = reader.mapping(value, path, ["account", "secret", "namespace"], ["number", "reserved"])
+    number, reserved = account.get("number", 0), account.get("reserved", False)
+    if not isinstance(number, int) or isinstance(number, bool) or number < 0:
+        reader.problems.append(f"{path}.number: must be a whole number from 0 on")
+    if not isinstance(reserved, bool):
+        reader.problems.append(f"{path}.reserved: must be true or false")
+    return AccountCertificate(
+        reader.word(account.get("account"), f"{path}.account", NAME),
+        reader.word(account.get("secret"), f"{path}.secret", NAME),
+        reader.word(account.get("namespace"), f"{path}.namespace", NAME),
+        number if isinstance(number, int) else 0,
+        bool(reserved),
     )
 
 

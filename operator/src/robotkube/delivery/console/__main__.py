@@ -17,7 +17,6 @@ from kubernetes import client
 
 from robotkube.delivery.console.adapters.broker_poses import BrokerPoses
 from robotkube.delivery.console.adapters.cluster_watches import ClusterWatches, ConfigMapSettings
-from robotkube.delivery.console.adapters.http_pages import AGENT_PAGE_BYTES_MAX, HttpPages
 from robotkube.delivery.console.adapters.peoples_tasks import ImpersonatedTasks
 from robotkube.delivery.console.adapters.web.application import Console, ConsoleSurroundings
 from robotkube.delivery.console.adapters.web.asking import AskedParties
@@ -32,6 +31,7 @@ from robotkube.delivery.console.loops.page_reading import DetectorReader, Manage
 from robotkube.delivery.console.settings import ConsoleConfiguration, read_configuration
 from robotkube.foundation.certificates.adapters.certificate_authorities import trust
 from robotkube.foundation.kubernetes.adapters.client import api_client
+from robotkube.foundation.pages.adapters.http_pages import AGENT_PAGE_BYTES_MAX, HttpPages
 from robotkube.foundation.runtime import settings_file as files
 from robotkube.foundation.runtime.adapters.health_server import HealthServer
 from robotkube.foundation.runtime.adapters.prometheus_series import MetricsPage

@@ -32,7 +32,7 @@ def task_gateway(
 ) -> MqttTaskGateway:
     """The MQTT task gateway for `operators` (name -> namespace of its tasks); it does not connect before its start."""
     session = f"{broker.username}-task-door"
-    channel = PahoGateway(broker.host, broker.port, broker.username, broker.password, session, broker.tls)
+    channel = PahoGateway(broker, session)
     writer = KubernetesTasks(functools.partial(call, api))
     clocks = (time.time_ns, time.monotonic)
     return MqttTaskGateway(operators, channel, store, writer, leadership, *clocks, holds.receive, links.receive)

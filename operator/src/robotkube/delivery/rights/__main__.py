@@ -44,6 +44,7 @@ class RightsProcess:
             MetricsPage(self.keeper.metrics).text,
             configuration.webhook_secret.encode(),
             self._deliver,
+            pages={"/accounts": self.keeper.accounts_page},
             health_port=configuration.listen.health_port,
             certificate=configuration.listen.certificate,
         )

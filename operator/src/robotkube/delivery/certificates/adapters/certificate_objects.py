@@ -10,12 +10,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 from urllib.parse import quote
 
-from robotkube.delivery.certificates.core.issuance import Issuance
+from robotkube.delivery.certificates.core import register as registers
+from robotkube.delivery.certificates.core.issuance import AccountCertificate, Issuance
+from robotkube.delivery.certificates.core.register import Register
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.certificates.core.lives import Pair
 from robotkube.foundation.kubernetes.adapters.http_client import config_map_path
 
 CERTIFICATE, KEY, AUTHORITY = "tls.crt", "tls.key", "ca.crt"
+REGISTER, REVOKED = "register.json", "revoked.crl"
 MERGE = "application/merge-patch+json"
 CONFLICT, MISSING = 409, 404
 NO_ADDRESS = (None, "", "None")  # the last one: of a headless Service
@@ -36,7 +39,7 @@ class KubernetesCertificates:
         self._api = api
         self._issuance = issuance
         self._namespaces = {one.secret: one.namespace for one in issuance.certificates if one.namespace}
-        self._version = ""
+        self._version = self._register_version = ""
 
     def authority(self) -> Pair | None:
         """See the port."""
@@ -67,6 +70,32 @@ class KubernetesCertificates:
         """See the port."""
         self._patch(self._secret(secret), f"Secret {secret}", {"stringData": _files(certificate)})
 
+    def of_account(self, account: AccountCertificate) -> Pair | None:
+        """See the port."""
+        document = self._read(_secret_path(account.namespace, account.secret), _about_account(account))
+        return _pair(document.get("data") or {})
+
+    def put_of_account(self, account: AccountCertificate, certificate: Pair) -> None:
+        """See the port."""
+        path = _secret_path(account.namespace, account.secret)
+        self._patch(path, _about_account(account), {"stringData": _files(certificate)})
+
+    def register(self) -> tuple[Register, str]:
+        """See the port."""
+        document = self._read(self._register_path(), self._about_register())
+        self._register_version = str(document["metadata"].get("resourceVersion", ""))
+        data = document.get("data") or {}
+        try:
+            return registers.read(data.get(REGISTER, "")), data.get(REVOKED, "")
+        except InputError as error:
+            raise InputError(f"{self._about_register()}: {error}") from error
+
+    def put_register(self, register: Register, revocations: str) -> None:
+        """See the port."""
+        data = {REGISTER: registers.written(register), REVOKED: revocations}
+        body = {"metadata": {"resourceVersion": self._register_version}, "data": data}
+        self._patch(self._register_path(), self._about_register(), body)
+
     def addresses(self, service: str) -> Sequence[str]:
         """See the port."""
         path = f"/api/v1/namespaces/{quote(self._issuance.platform)}/services/{quote(service)}"
@@ -83,8 +112,15 @@ class KubernetesCertificates:
         self._patch(self._config_map(namespace), self._about(namespace), {"data": {AUTHORITY: certificate}})
 
     def _secret(self, name: str) -> str:
-        namespace = self._namespaces.get(name, self._issuance.platform)
-        return f"/api/v1/namespaces/{quote(namespace)}/secrets/{quote(name)}"
+        return _secret_path(self._namespaces.get(name, self._issuance.platform), name)
+
+    def _register_path(self) -> str:
+        assert self._issuance.accounts is not None
+        return config_map_path(self._issuance.platform, self._issuance.accounts.register)
+
+    def _about_register(self) -> str:
+        assert self._issuance.accounts is not None
+        return f"ConfigMap {self._issuance.platform}/{self._issuance.accounts.register}"
 
     def _config_map(self, namespace: str) -> str:
         return config_map_path(namespace, self._issuance.trusted)
@@ -102,6 +138,14 @@ class KubernetesCertificates:
             _missing(about)
         if status == CONFLICT:
             raise UnavailableError(f"{about}: somebody else changed it at the same time; it is looked at again")
+
+
+def _secret_path(namespace: str, name: str) -> str:
+    return f"/api/v1/namespaces/{quote(namespace)}/secrets/{quote(name)}"
+
+
+def _about_account(account: AccountCertificate) -> str:
+    return f"Secret {account.namespace}/{account.secret}"
 
 
 def _missing(about: str) -> Mapping[str, Any]:

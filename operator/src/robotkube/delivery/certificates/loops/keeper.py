@@ -6,16 +6,20 @@ from __future__ import annotations
 import logging
 import random
 import threading
+import time
 from collections.abc import Callable, Sequence
 
 from robotkube.backoffs import Random, backoff
 from robotkube.delivery.certificates.core.issuance import Issuance, ServerCertificate
+from robotkube.delivery.certificates.loops.account_keeper import AccountKeeper
 from robotkube.delivery.certificates.ports import CertificateObjects, Issuer
 from robotkube.errors import InputError, RobotKubeError
 from robotkube.foundation.certificates.core.lives import Life, Pair, reason_to_replace
 from robotkube.foundation.runtime.ports import Series, by_one
 
 CHECK_SECONDS = 60.0
+SHUT_SECONDS = 5.0
+"""Between two looks where accounts are proved by certificates, which end with main's word."""
 CHECK_SHARE = 0.05
 """Of a certificate's life: one that lives for a minute is looked at every 3 s."""
 RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 1.0, 4.0
@@ -33,8 +37,10 @@ class CertificateKeeper:
         issuer: Issuer,
         issuance: Issuance,
         wall: Callable[[], float],
+        accounts: AccountKeeper | None = None,
         jitter: Random = random.random,
     ) -> None:
+        self._accounts = accounts
         self._objects = objects
         self._issuer = issuer
         self._issuance = issuance
@@ -46,7 +52,9 @@ class CertificateKeeper:
 
     def run(self, stopping: threading.Event) -> None:
         """Keep them until `stopping` is set."""
-        interval = min(CHECK_SECONDS, *(CHECK_SHARE * one.seconds for one in self._issuance.certificates))
+        lives = [one.seconds for one in self._issuance.certificates]
+        lives += [] if self._issuance.accounts is None else [self._issuance.accounts.seconds]
+        interval = min(CHECK_SECONDS, *(CHECK_SHARE * seconds for seconds in lives))
         failures = 0
         while not stopping.wait(0.0):
             self.step()
@@ -54,7 +62,14 @@ class CertificateKeeper:
             pause = (
                 backoff(failures - 1, RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX, self._jitter) if failures else interval
             )
-            stopping.wait(min(interval, pause))
+            self._rest(stopping, min(interval, pause))
+
+    def _rest(self, stopping: threading.Event, seconds: float) -> None:
+        """Wait, where accounts are proved by certificates only until main shuts out others."""
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0 and not stopping.wait(min(left, SHUT_SECONDS)):
+            if self._accounts is not None and self._accounts.has_news():
+                return
 
     def step(self) -> None:
         """Look at all of them once, and put right what is due. A problem is logged when it is another one."""
@@ -77,6 +92,8 @@ class CertificateKeeper:
                 log.info("authority published namespace=%s", namespace)
         for certificate in self._issuance.certificates:
             self.lives[certificate.secret] = self._renewed(certificate, authority)
+        if self._accounts is not None:
+            self._accounts.keep(authority)
 
     def _authority(self) -> Pair:
         authority = self._objects.authority()
@@ -124,18 +141,32 @@ class CertificateKeeper:
             return [self.problem]
         now = self._wall()
         ended = [secret for secret, life in self.lives.items() if now >= life.end]
-        return [f"the certificate in Secret {secret} has expired" for secret in ended]
+        accounts = self._accounts.lives if self._accounts is not None else {}
+        if self._accounts is not None and self._accounts.problem:
+            return [self._accounts.problem]
+        return [
+            *(f"the certificate in Secret {secret} has expired" for secret in ended),
+            *(f"the certificate of account {name} has expired" for name, life in accounts.items() if now >= life.end),
+        ]
 
     def metrics(self) -> Sequence[Series]:
         """What Prometheus reads."""
         prefix = "robotkube_certificates_"
-        expiry = "Time at which a server's certificate expires, in seconds since 1970; 0 while it was not looked at."
+        expiry = "Time at which a certificate expires, in seconds since 1970; 0 while it was not looked at."
         issued, published = "Certificates that were made.", "Namespaces that were told whom to trust."
         ends = {one.secret: 0.0 for one in self._issuance.certificates}
         ends |= {secret: life.end for secret, life in self.lives.items()}
+        accounts = self._accounts
+        more: tuple[Series, ...] = ()
+        if accounts is not None:
+            revoked = "Certificates of accounts that were revoked."
+            more = (Series(f"{prefix}revoked_total", "counter", revoked, {(): float(accounts.revoked)}),)
+            ends |= {f"{one.namespace}/{one.secret}": life.end for one, life in accounts.standing()}
+        made = float(self.issued + (accounts.issued if accounts is not None else 0))
         return (
+            *more,
             Series(f"{prefix}expiry_timestamp_seconds", "gauge", expiry, by_one(ends), ("secret",)),
-            Series(f"{prefix}issued_total", "counter", issued, {(): float(self.issued)}),
+            Series(f"{prefix}issued_total", "counter", issued, {(): made}),
             Series(f"{prefix}published_total", "counter", published, {(): float(self.published)}),
             Series(f"{prefix}failures_total", "counter", "Looks that failed.", {(): float(self.failed)}),
         )

@@ -6,6 +6,7 @@ import logging
 import random
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from robotkube.backoffs import Random, backoff
 from robotkube.delivery.rights.core.accounts import Accounts, fixed_rights
@@ -187,6 +188,12 @@ class Keeper:
                 f"the broker's rights are those of {self.applied[:12] or 'no commit'}, main is at {follower.tip[:12]}"
             ]
         return []
+
+    def accounts_page(self) -> Mapping[str, Any]:
+        """Who may not be at the broker, as main says it: `shut` is null while nobody has read that yet."""
+        main = self._follower().table
+        shut = None if main is None or main.shut is None else sorted(main.shut)
+        return {"commit": main.commit if main else "", "shut": shut}
 
     def metrics(self) -> Sequence[Series]:
         """What Prometheus reads."""

@@ -28,12 +28,8 @@ from robotkube.backoffs import Random, backoff
 from robotkube.delivery.tasks.core.mqtt_messages import MESSAGE_BYTES_MAX
 from robotkube.delivery.tasks.ports.mqtt_gateway import GatewayMessage
 from robotkube.errors import InputError
-from robotkube.foundation.certificates.adapters.verification import (
-    ServerVerification,
-    client_context,
-    load_authorities,
-    sentence,
-)
+from robotkube.foundation.certificates.adapters.verification import load_authorities, load_own, sentence
+from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.core.client_ids import client_id
 from robotkube.writes import writes
 
@@ -53,18 +49,8 @@ FAILURE = 0x80
 class PahoGateway:
     """The port GatewayChannel: the session `name` of an account (robots.mqtt.core.client_ids makes its id of it)."""
 
-    def __init__(
-        self,
-        host: str,
-        port: int,
-        username: str,
-        password: str,
-        name: str,
-        tls: ServerVerification | None = None,
-        jitter: Random = random.random,
-    ) -> None:
-        self._host = host
-        self._port = port
+    def __init__(self, account: BrokerAccount, name: str, jitter: Random = random.random) -> None:
+        self._account = account
         self._jitter = jitter
         self._failures = 0
         self._waiting: queue.Queue[GatewayMessage] = queue.Queue()
@@ -75,11 +61,11 @@ class PahoGateway:
         self._connection = 0
         self._complaint = f"{name}: not connected to the broker yet"
         client = mqtt.Client(
-            CallbackAPIVersion.VERSION2, client_id(name, password), protocol=mqtt.MQTTv5, manual_ack=True
+            CallbackAPIVersion.VERSION2, client_id(name, account.password), protocol=mqtt.MQTTv5, manual_ack=True
         )
-        client.username_pw_set(username, password)
-        self._tls = tls
-        self._context = None if tls is None else client_context(tls)
+        if account.login is not None:
+            client.username_pw_set(*account.login)
+        self._context = account.context()
         if self._context is not None:
             client.tls_set_context(self._context)
             client.on_pre_connect = self._trust
@@ -103,7 +89,10 @@ class PahoGateway:
         properties = Properties(PacketTypes.CONNECT)  # type: ignore[no-untyped-call]
         properties.SessionExpiryInterval = SESSION_SECONDS
         properties.ReceiveMaximum = UNACKNOWLEDGED_MAX
-        self._client.connect_async(self._host, self._port, KEEPALIVE_SECONDS, clean_start=False, properties=properties)
+        account = self._account
+        self._client.connect_async(
+            account.host, account.port, KEEPALIVE_SECONDS, clean_start=False, properties=properties
+        )
         self._client.loop_start()
 
     def receive(self, seconds: float) -> GatewayMessage | None:
@@ -176,19 +165,23 @@ class PahoGateway:
         self._put_off_next_attempt()
 
     def _failed(self, client: Any, userdata: Any) -> None:
-        broker = f"the broker {self._host}:{self._port}"
+        tls, broker = self._account.tls, f"the broker {self._account.host}:{self._account.port}"
         error = sys.exc_info()[1]  # paho calls this while it handles what an attempt met
-        if self._tls is not None and isinstance(error, ssl.SSLError):
-            self._complain(f"no encrypted connection to {broker}: {sentence(error, self._tls)}")
+        if tls is not None and isinstance(error, ssl.SSLError):
+            self._complain(f"no encrypted connection to {broker}: {sentence(error, tls)}")
         else:
             self._complain(f"{broker} does not answer")
         self._put_off_next_attempt()
 
     def _trust(self, client: Any, userdata: Any) -> None:
-        """Trust, from now on, authorities that were added meanwhile."""
+        """Trust, from now on, authorities that were added meanwhile, and prove the account by a renewed certificate."""
+        if self._context is None or self._account.tls is None:
+            return
         with contextlib.suppress(InputError):  # a file that is gone takes nothing away
-            if self._context is not None and self._tls is not None:
-                load_authorities(self._context, self._tls)
+            load_authorities(self._context, self._account.tls)
+        with contextlib.suppress(InputError):
+            if self._account.certificate is not None:
+                load_own(self._context, self._account.certificate)
 
     def _put_off_next_attempt(self) -> None:
         """Tell paho, which waits after this, for how long: its own pauses are the same for all clients of a broker."""

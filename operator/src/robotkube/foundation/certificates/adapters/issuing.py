@@ -1,11 +1,12 @@
-"""Certificates that are made here (cryptography): an authority once, and what it signs for servers. Keys are ECDSA on
-P-256, which every client of TLS 1.2 knows and whose handshakes are cheap."""
+"""Certificates that are made here (cryptography): an authority once, what it signs for servers and for accounts, and
+its list of those that are revoked. Keys are ECDSA on P-256, which every client of TLS 1.2 knows and whose handshakes
+are cheap."""
 
 from __future__ import annotations
 
 import ipaddress
 import time
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from datetime import UTC, datetime
 
 from cryptography import x509
@@ -21,6 +22,9 @@ from robotkube.foundation.certificates.core.lives import Issued, Life, Pair, beg
 AUTHORITY_SECONDS = 10 * 365 * 86_400.0
 THROW_AWAY_SECONDS = 2 * 86_400.0
 COMMON_NAME_MAX = 64  # characters, by X.520
+LIST_EARLY_SECONDS = 86_400.0
+"""A list that is not valid yet by a server's clock has everybody refused, and so has one that is too old: this one is
+replaced when somebody is revoked, and lives as long as its authority."""
 
 
 def new_authority(name: str, now: float, seconds: float = AUTHORITY_SECONDS) -> Pair:
@@ -36,6 +40,16 @@ def new_authority(name: str, now: float, seconds: float = AUTHORITY_SECONDS) -> 
 def issue(authority: Pair, names: Collection[str], now: float, seconds: float) -> Pair:
     """A server's certificate for `names` (DNS names and addresses; the first is its common name), with a key of its
     own, for `seconds` from now on; never longer than its authority."""
+    return _leaf(authority, names, now, seconds, ExtendedKeyUsageOID.SERVER_AUTH)
+
+
+def issue_account(authority: Pair, account: str, now: float, seconds: float) -> Pair:
+    """A client's certificate whose common name is the account, as above. No server can show it, and an account cannot
+    be proved by a server's."""
+    return _leaf(authority, [account], now, seconds, ExtendedKeyUsageOID.CLIENT_AUTH)
+
+
+def _leaf(authority: Pair, names: Collection[str], now: float, seconds: float, usage: x509.ObjectIdentifier) -> Pair:
     issuer, issuer_key = _read(authority)
     key = ec.generate_private_key(ec.SECP256R1())
     end = min(now + seconds, issuer.not_valid_after_utc.timestamp())
@@ -44,7 +58,7 @@ def issue(authority: Pair, names: Collection[str], now: float, seconds: float) -
     builder = builder.add_extension(x509.SubjectAlternativeName(list(_alternatives(names))), critical=False)
     builder = builder.add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
     builder = builder.add_extension(_usage(digital_signature=True), critical=True)
-    builder = builder.add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH]), critical=False)
+    builder = builder.add_extension(x509.ExtendedKeyUsage([usage]), critical=False)
     return _pair(builder.sign(issuer_key, SHA256()), key)
 
 
@@ -70,7 +84,37 @@ def describe(pair: Pair, authority: Pair) -> Life:
         end=certificate.not_valid_after_utc.timestamp(),
         has_key=certificate.public_key() == key.public_key(),
         signed=signed,
+        serial=certificate.serial_number,
     )
+
+
+def revocation_list(authority: Pair, revoked: Mapping[int, float], now: float) -> str:
+    """The authority's list of what it has revoked, as PEM: the certificates' numbers, each with the moment."""
+    issuer, key = _read(authority)
+    builder = (
+        x509.CertificateRevocationListBuilder()
+        .issuer_name(issuer.subject)
+        .last_update(datetime.fromtimestamp(now - LIST_EARLY_SECONDS, UTC))
+        .next_update(issuer.not_valid_after_utc)
+        .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(key.public_key()), critical=False)
+        .add_extension(x509.CRLNumber(int(now * 1000)), critical=False)
+    )
+    for serial, moment in sorted(revoked.items()):
+        entry = x509.RevokedCertificateBuilder().serial_number(serial)
+        builder = builder.add_revoked_certificate(entry.revocation_date(datetime.fromtimestamp(moment, UTC)).build())
+    return builder.sign(key, SHA256()).public_bytes(Encoding.PEM).decode()
+
+
+def listed(text: str, authority: Pair) -> frozenset[int] | None:
+    """The numbers in a list of revoked certificates; None when it is none of this authority's."""
+    issuer, _ = _read(authority)
+    try:
+        revocations = x509.load_pem_x509_crl(text.encode())
+        if not revocations.is_signature_valid(issuer.public_key()):  # type: ignore[arg-type]
+            return None
+    except (ValueError, TypeError):
+        return None
+    return frozenset(entry.serial_number for entry in revocations)
 
 
 def is_authority(pair: Pair) -> bool:

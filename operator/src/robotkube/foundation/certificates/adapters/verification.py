@@ -1,12 +1,16 @@
 """Verification of a server by TLS (ssl): its certificate is of an authority in a file, and for the name one asked for.
+And of oneself, where the server asks for it.
 
 verification = ServerVerification(Path("/var/run/secrets/robotkube/broker/ca.crt"), "broker.robotkube.svc")
 context = client_context(verification)        # for wrap_socket, or for whatever library takes a context
+context = client_context(verification, ClientCertificate(Path("/var/run/secrets/robotkube/broker")))
 sentence(error, verification)                 # what was refused and what to do, of an OSError that it raised
 """
 
 from __future__ import annotations
 
+import contextlib
+import socket
 import ssl
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +28,13 @@ class ServerVerification:
 
     authorities: Path
     name: str
+
+
+@dataclass(frozen=True)
+class ClientCertificate:
+    """How a client proves itself: by tls.crt and tls.key in a folder, as they are at each connection."""
+
+    folder: Path
 
 
 class _ClosedOnFailure(ssl.SSLSocket):
@@ -48,14 +59,42 @@ class _NamedContext(ssl.SSLContext):
         return super().wrap_socket(*arguments, **{**options, "server_hostname": self.name})
 
 
-def client_context(verification: ServerVerification) -> ssl.SSLContext:
-    """The context of a client; InputError when the file of authorities is missing, or holds none."""
+def client_context(verification: ServerVerification, own: ClientCertificate | None = None) -> ssl.SSLContext:
+    """The context of a client; InputError when the file of authorities is missing, or holds none, or `own` certificate
+    cannot be read."""
     context = _NamedContext(ssl.PROTOCOL_TLS_CLIENT)
     context.minimum_version = ssl.TLSVersion.TLSv1_2
     context.name = verification.name
     context.sslsocket_class = _ClosedOnFailure
     load_authorities(context, verification)
+    if own is not None:
+        load_own(context, own)
     return context
+
+
+def load_own(context: ssl.SSLContext, own: ClientCertificate) -> None:
+    """Prove oneself by what the files have now. InputError names the folder where they cannot be read."""
+    try:
+        context.load_cert_chain(own.folder / "tls.crt", own.folder / "tls.key")
+    except OSError as error:  # ssl.SSLError is one
+        raise InputError(
+            f"{own.folder}: no certificate of this account can be read in tls.crt and tls.key "
+            f"({error.strerror or error}); the Deployment certificates fills its Secret, and the kubelet brings it "
+            "within two minutes"
+        ) from error
+
+
+def alert_of(host: str, port: int, context: ssl.SSLContext, seconds: float) -> str:
+    """The alert with which a server ends a connection on which nobody says anything, as OpenSSL names it; empty when it
+    does not within `seconds`. Of TLS 1.3, what a server thinks of the client's certificate comes after the handshake,
+    and is lost when something was sent meanwhile."""
+    with contextlib.suppress(OSError), socket.create_connection((host, port), seconds) as plain:
+        try:
+            with context.wrap_socket(plain) as encrypted:
+                encrypted.recv(1)
+        except ssl.SSLError as error:
+            return error.reason or ""
+    return ""
 
 
 def load_authorities(context: ssl.SSLContext, verification: ServerVerification) -> None:

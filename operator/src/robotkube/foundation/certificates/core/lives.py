@@ -28,14 +28,15 @@ class Issued:
 
 @dataclass(frozen=True)
 class Life:
-    """What a certificate says: the names it is for, its first and last moment, and whether the key beside it is its own
-    and the authority that is asked about signed it."""
+    """What a certificate says: the names it is for, its first and last moment, its number, and whether the key beside
+    it is its own and the authority that is asked about signed it."""
 
     names: frozenset[str]
     begin: float
     end: float
     has_key: bool
     signed: bool
+    serial: int = 0
 
     @property
     def renewal(self) -> float:

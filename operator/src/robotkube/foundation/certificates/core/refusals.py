@@ -1,4 +1,4 @@
-"""What is said when a server's certificate does not hold: what was refused, and what to do."""
+"""What is said when a certificate does not hold, the server's or one's own: what was refused, and what to do."""
 
 from __future__ import annotations
 
@@ -28,3 +28,28 @@ def refused_certificate(code: int, words: str, name: str, authorities: str) -> s
             "the forge: forge.names)"
         )
     return f"its certificate does not hold: {words}"
+
+
+def refused_own_certificate(alert: str) -> str:
+    """The sentence for the alert, as OpenSSL names it, with which a server ends a handshake; empty when it is not about
+    the client's certificate."""
+    if "CERTIFICATE_REQUIRED" in alert or "HANDSHAKE_FAILURE" in alert:
+        return (
+            "the broker asks for a certificate of the account. Its Secret has one where the platform makes them "
+            "(tls.clientCertificates), with the key identity: certificate"
+        )
+    if "CERTIFICATE_EXPIRED" in alert:
+        return (
+            "the broker says that the account's certificate has expired; see the log of the Deployment certificates, "
+            "and compare the clocks"
+        )
+    if "CERTIFICATE_REVOKED" in alert:
+        return "the broker says that the account's certificate is revoked (`robotkube agent list`)"
+    if "UNKNOWN_CA" in alert:
+        return (
+            "the broker does not know the authority of the account's certificate; compare it with ConfigMap "
+            "robotkube-ca in the platform's namespace"
+        )
+    if "CERTIFICATE" in alert:
+        return f"the broker does not take the account's certificate ({alert.lower().replace('_', ' ')})"
+    return ""

@@ -11,7 +11,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from robotkube.errors import UnavailableError
-from robotkube.foundation.certificates.adapters.verification import client_context, sentence
+from robotkube.foundation.certificates.adapters.verification import sentence
 from robotkube.registry.suites.ports.interfaces import BrokerMessage
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.core.client_ids import client_id
@@ -33,9 +33,11 @@ class PahoObserver:
         client = mqtt.Client(
             CallbackAPIVersion.VERSION2, client_id=client_id(name, account.password), protocol=mqtt.MQTTv5
         )
-        client.username_pw_set(account.username, account.password)
-        if account.tls is not None:
-            client.tls_set_context(client_context(account.tls))
+        if account.login is not None:
+            client.username_pw_set(*account.login)
+        context = account.context()
+        if context is not None:
+            client.tls_set_context(context)
         client.on_connect = self._connected
         client.on_subscribe = self._answered
         client.on_message = self._received

@@ -21,8 +21,9 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from robotkube.backoffs import Random, backoff
-from robotkube.errors import RobotKubeError
-from robotkube.foundation.certificates.adapters.verification import client_context, sentence
+from robotkube.errors import InputError, RobotKubeError
+from robotkube.foundation.certificates.adapters.verification import alert_of, sentence
+from robotkube.foundation.certificates.core.refusals import refused_own_certificate
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.adapters.paho_client import QOS, MqttClient, mqtt
 from robotkube.robots.mqtt.adapters.tcp_sockets import SocketBound, socket_state
@@ -38,6 +39,7 @@ KEEPALIVE_SECONDS = 5
 BACKOFF_SECONDS_MIN, BACKOFF_SECONDS_MAX = 0.2, 1.0
 """The bound of the pause before the next attempt: at first, and at most. A robot on a lossy network is back within the
 second after its broker is, after a third of one on average, and a fleet still spreads over that second."""
+ALERT_SECONDS_MAX = 1.0
 MISC_SECONDS = 1.0
 RECEIVE_MAXIMUM = 65535  # of a broker that names none (MQTT 5, section 3.2.2.3.3)
 NO_MATCHING_SUBSCRIBERS = 0x10
@@ -81,7 +83,7 @@ class PahoChannel:
         self._packet_bytes_max = PACKET_BYTES_MAX
         self._retains = True
         self._rejected: deque[tuple[int, str]] = deque()
-        self._up = self._denied = False
+        self._up = self._denied = self._closed = False
         self.complaint: str | None = f"{name}: not connected to the broker yet"
 
     def turn(self, now: float) -> None:
@@ -175,7 +177,8 @@ class PahoChannel:
     def _connect(self, now: float) -> None:
         if self._attempt is None:
             if now >= self._retry_at:
-                self._attempt = _Attempt(self._new_client, self._account)
+                self._attempt = _Attempt(self._new_client, self._account, self._closed)
+                self._closed = False
             return
         if self._attempt.running:
             return
@@ -231,6 +234,7 @@ class PahoChannel:
             self.complaint = f"{self._name}: the connection was lost: {reason}"
         elif not self._denied:
             self.complaint = f"{self._name}: {CLOSED}"
+            self._closed = True
         self._lost()
 
     def _on_acknowledged(self, mid: int, reason: int) -> None:
@@ -263,9 +267,16 @@ class PahoChannel:
 
 
 class _Attempt:
-    """One connection attempt on a thread of its own, bounded by CONNECT_SECONDS_MAX per address."""
+    """One connection attempt on a thread of its own, bounded by CONNECT_SECONDS_MAX per address. `closed`: the broker
+    ended the one before without a word, so it is asked first what it thinks of the account's certificate."""
 
-    def __init__(self, new_client: Callable[[BrokerAccount], MqttClient], account: Callable[[], BrokerAccount]) -> None:
+    def __init__(
+        self,
+        new_client: Callable[[BrokerAccount], MqttClient],
+        account: Callable[[], BrokerAccount],
+        closed: bool = False,
+    ) -> None:
+        self._closed = closed
         self.client: MqttClient | None = None
         self.error: str | None = None
         self._abandoned = False
@@ -293,9 +304,14 @@ class _Attempt:
         try:
             account = self._account()
             client = self._new_client(account)
-            client.username_pw_set(account.username, account.password)
-            if account.tls is not None:
-                client.encrypt(client_context(account.tls))
+            if account.login is not None:
+                client.username_pw_set(*account.login)
+            context = account.context()
+            if context is not None:
+                client.encrypt(context)
+                refusal = self._refusal(account, context)
+                if refusal:
+                    raise InputError(refusal)
             properties = client.session_properties  # type: ignore[attr-defined]
             client.connect(account.host, account.port, KEEPALIVE_SECONDS, clean_start=False, properties=properties)
         except (OSError, ValueError, RobotKubeError) as error:
@@ -309,9 +325,17 @@ class _Attempt:
             else:
                 self.client = client
 
+    def _refusal(self, account: BrokerAccount, context: ssl.SSLContext) -> str:
+        """What the broker has against the account's certificate, or that there is none; empty when it says nothing."""
+        if not self._closed:
+            return ""
+        return refused_own_certificate(alert_of(account.host, account.port, context, ALERT_SECONDS_MAX))
+
 
 def _failure(error: Exception, account: BrokerAccount | None) -> str:
     """What an attempt met, in words."""
+    if isinstance(error, InputError):
+        return str(error)
     if account is not None and account.tls is not None and isinstance(error, ssl.SSLError):
         return f"no encrypted connection to the broker {account.host}:{account.port}: {sentence(error, account.tls)}"
     return f"the broker does not answer: {error or type(error).__name__}"

@@ -10,8 +10,8 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 
-from robotkube.delivery.console.adapters.http_pages import PAGE_SECONDS_MAX, HttpPages
 from robotkube.errors import UnavailableError
+from robotkube.foundation.pages.adapters.http_pages import PAGE_SECONDS_MAX, HttpPages
 
 
 class Endless(BaseHTTPRequestHandler):

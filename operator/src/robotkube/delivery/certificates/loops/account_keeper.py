@@ -1,0 +1,148 @@
+"""Keeping the certificates by which accounts at the broker are proved, and the list of those that are revoked."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+from robotkube.delivery.certificates.core.issuance import AccountCertificate, AccountIssuance
+from robotkube.delivery.certificates.core.register import IssuedCertificate, Register
+from robotkube.delivery.certificates.ports import CertificateObjects, Issuer, ShutAccounts
+from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.certificates.core.lives import Life, Pair, reason_to_replace
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class _Due:
+    """A certificate that was made and stands in no Secret yet."""
+
+    account: AccountCertificate
+    pair: Pair
+    cause: str
+
+
+class AccountKeeper:
+    """The certificates of a platform's accounts, on the keeper's thread. `wall` in seconds since 1970."""
+
+    def __init__(
+        self,
+        objects: CertificateObjects,
+        issuer: Issuer,
+        issuance: AccountIssuance,
+        shut: ShutAccounts,
+        wall: Callable[[], float],
+    ) -> None:
+        self._objects = objects
+        self._issuer = issuer
+        self._issuance = issuance
+        self._shut = shut
+        self._wall = wall
+        self._known: frozenset[str] | None = None  # whom main shut out at the last look
+        self._authority = ""
+        self.problem = ""
+        self.lives: dict[str, Life] = {}  # by account, of those whose certificate is not revoked
+        self.issued = self.revoked = 0
+
+    def has_news(self) -> bool:
+        """Whether main shuts out others than at the last look, as far as somebody says it."""
+        try:
+            return bool(self._authority) and self._shut.shut(self._authority) != self._known
+        except UnavailableError:
+            return False
+
+    def standing(self) -> Iterator[tuple[AccountCertificate, Life]]:
+        """The certificates that are there and not revoked, each with its life."""
+        for account in self._issuance.certificates:
+            if account.account in self.lives:
+                yield account, self.lives[account.account]
+
+    def keep(self, authority: Pair) -> None:
+        """Issue what is due, and revoke what main shuts out. Who may not be at the broker gets nothing; while nobody
+        says who that is, everybody keeps and gets his, but accounts that are reserved or revoked; `problem` says so."""
+        self._authority = authority.certificate
+        shut = self._asked()
+        register, revocations = self._objects.register()
+        present = {one: self._objects.of_account(one) for one in self._issuance.certificates}
+        self.lives = self._described(present, authority)
+        adopted = self._adopted(register.kept(self._wall()))
+        revoking = adopted.revoking(shut or (), self._issuance.certificates, self._wall())
+        after, due = self._issue(revoking, shut, authority)
+        if after != register or self._issuer.listed(revocations, authority) != frozenset(after.revoked):
+            # before any of it is shown: what is not in the register cannot be revoked
+            text = self._issuer.revocation_list(authority, after.revoked, self._wall())
+            self._objects.put_register(after, text)
+            self._tell_revoked(register, after)
+        for one in due:
+            self._objects.put_of_account(one.account, one.pair)
+            life = self._issuer.describe(one.pair, authority)
+            self.lives[one.account.account] = life
+            self.issued += 1
+            cause = one.cause.replace(" ", "-")
+            log.info("certificate issued account=%s cause=%s end=%.0f", one.account.account, cause, life.end)
+        revoked = after.revoked
+        self.lives = {name: life for name, life in self.lives.items() if life.serial not in revoked}
+        self._known = shut
+
+    def _asked(self) -> frozenset[str] | None:
+        """Whom main shuts out; None while nobody says it, which is logged once."""
+        before, self.problem = self.problem, ""
+        try:
+            return self._shut.shut(self._authority)
+        except UnavailableError as error:
+            self.problem = f"nobody says which accounts main shuts out: {error}"
+        if self.problem != before:
+            log.warning("certificates: %s", self.problem)
+        return None
+
+    def _described(self, present: Mapping[AccountCertificate, Pair | None], authority: Pair) -> dict[str, Life]:
+        """The lives of what is there by account; what cannot be read is replaced as if there were none."""
+        lives = {}
+        for account, pair in present.items():
+            try:
+                if pair is not None:
+                    lives[account.account] = self._issuer.describe(pair, authority)
+            except InputError as error:
+                log.warning("Secret %s/%s: %s", account.namespace, account.secret, error)
+        return lives
+
+    def _adopted(self, register: Register) -> Register:
+        """With what the authority signed and the register does not have, as after its loss."""
+        for account in self._issuance.certificates:
+            life = self.lives.get(account.account)
+            if life is not None and life.signed and register.entry(life.serial) is None:
+                register = register.added(IssuedCertificate(account.account, life.serial, life.end, account.number))
+        return register
+
+    def _issue(self, register: Register, shut: frozenset[str] | None, authority: Pair) -> tuple[Register, list[_Due]]:
+        """Make what is due, and enter it."""
+        due = []
+        for account in self._issuance.certificates:
+            reason = self._reason(account, register, shut)
+            if reason:
+                pair = self._issuer.issue_account(authority, account.account, self._wall(), self._issuance.seconds)
+                life = self._issuer.describe(pair, authority)
+                register = register.added(IssuedCertificate(account.account, life.serial, life.end, account.number))
+                due.append(_Due(account, pair, reason))
+        return register, due
+
+    def _reason(self, account: AccountCertificate, register: Register, shut: frozenset[str] | None) -> str:
+        """The reason why an account gets a certificate now; empty when it does not."""
+        life = self.lives.get(account.account)
+        entry = register.entry(life.serial) if life is not None else None
+        revoked = entry is not None and bool(entry.revoked)
+        if shut is None:
+            other_number = entry is not None and entry.number != account.number
+            if (revoked and not other_number) or (account.reserved and life is None):
+                return ""
+        elif account.account in shut:
+            return ""
+        return reason_to_replace(life, [account.account], self._wall()) or ("it is revoked" if revoked else "")
+
+    def _tell_revoked(self, before: Register, after: Register) -> None:
+        for one in after.issued:
+            if one.revoked and one.serial not in before.revoked:
+                self.revoked += 1
+                log.warning("certificate revoked account=%s serial=%x", one.account, one.serial)

@@ -1,0 +1,1 @@
+"""Asking the platform's processes over HTTP: their pages, and questions to them."""
