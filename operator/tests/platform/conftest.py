@@ -46,6 +46,7 @@ ORDER = (
     "cluster/test_how_to_detector",
     "cluster/test_own_images",
     "cluster/test_agents",
+    "cluster/test_enrolled_in_mid_run",
     "cluster/test_updates",
     "cluster/test_results",
     "cluster/test_broken_links",

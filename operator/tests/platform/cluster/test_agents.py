@@ -3,8 +3,7 @@ Node of an agent that nobody declared."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -13,9 +12,9 @@ from typing import Any
 import pytest
 import yaml
 
-from ci.cluster import images
 from ci.cluster.topology import NodeSpec
-from ci.installation import CHART, INSTALL_TIMEOUT_SECONDS, NAMESPACE
+from ci.installation import NAMESPACE
+from tests.stages.platform.machines import declared, join, leave
 from tests.stages.platform.running_platform import Platform, eventually
 from tests.stages.platform.table_one import Stage
 
@@ -31,36 +30,14 @@ REPORTED_SECONDS_MAX = 30.0
 HELD_MINUTES = 20
 
 
-def upgrade(platform: Platform, values: Mapping[str, Any], folder: Path) -> None:
-    """The platform's chart with these values; its processes read the agents when they start."""
-    path = folder / "values.yaml"
-    path.write_text(yaml.safe_dump(dict(values)), encoding="utf-8")
-    options = ["-n", NAMESPACE, "-f", str(CHART / "values-embedded.yaml"), "-f", str(path)]
-    platform.installer.helm("upgrade", NAMESPACE, str(CHART), *options, "--timeout", f"{INSTALL_TIMEOUT_SECONDS}s")
-    platform.installer.rollout(NAMESPACE)
-
-
-@contextmanager
-def declared(platform: Platform, agent: Mapping[str, Any], folder: Path) -> Iterator[None]:
-    """One more agent among the chart's values."""
-    said = platform.installer.helm("-n", NAMESPACE, "get", "values", NAMESPACE, "-o", "json")
-    values = json.loads(said)
-    upgrade(platform, {**values, "agents": [*values["agents"], agent]}, folder)
-    try:
-        yield
-    finally:
-        upgrade(platform, values, folder)
-
-
 @contextmanager
 def switched_on(platform: Platform) -> Iterator[None]:
     """The machine joins; at the end it is switched off, and its Node is deleted."""
-    platform.provider.join(MACHINE, images.read_lock(images.lock_file()))
+    join(platform, MACHINE)
     try:
         yield
     finally:
-        platform.provider.stop_node(AGENT)
-        platform.kubectl("delete", "node", AGENT)
+        leave(platform, AGENT)
 
 
 @contextmanager
@@ -88,7 +65,7 @@ def common(releases: set[str]) -> set[str]:
 
 
 def test_a_declared_vehicle_joins_drives_and_goes(platform: Platform, stage: Stage, tmp_path: Path) -> None:
-    with declared(platform, {"name": AGENT, "role": "vehicle"}, tmp_path):
+    with declared(platform, [{"name": AGENT, "role": "vehicle"}], tmp_path):
         eventually("the platform has settled", platform.settled)
         before, neighbour = set(stage.releases()), stage.await_running(NEIGHBOUR)[NEIGHBOUR]
         assert not any(release.startswith(f"{AGENT}/") for release in before)
