@@ -13,10 +13,15 @@ from typing import Any
 import pytest
 import yaml
 
+from robotkube.delivery.certificates.adapters.shut_accounts import ShutAccountsPage
+from robotkube.delivery.deployment.core.policies.revoked import PATH as REVOKED_PATH
+from robotkube.delivery.deployment.core.policies.revoked import write_revoked
 from robotkube.delivery.deployment.core.releases import Release
 from robotkube.delivery.rights import __main__ as process
 from robotkube.delivery.rights.loops import main_follower
 from robotkube.errors import UnavailableError
+from robotkube.foundation.certificates.adapters.issuing import new_authority
+from robotkube.foundation.pages.adapters.http_pages import HttpPages
 from robotkube.foundation.runtime.settings_file import read_settings
 from robotkube.setup import bootstrap
 from robotkube.setup.adapters.gitea_administration import GiteaAdministration
@@ -124,6 +129,20 @@ def test_a_right_comes_and_goes_with_a_merge_that_the_webhook_tells(stage: Stage
         stage.until(NOT_AUTHORISED, listener)
     assert not listener.lost
     listener.close()
+
+
+def test_who_asks_is_told_whom_main_shuts_out(stage: Stage) -> None:
+    """By the adapter of who revokes certificates."""
+    pages = HttpPages()
+    page = ShutAccountsPage(pages, f"http://127.0.0.1:{stage.parts.server.ports['port']}/accounts")
+    authority = new_authority("ours", time.time()).certificate
+    assert page.shut(authority) == frozenset()
+    stolen = {REVOKED_PATH: write_revoked({"vehicle-00": "its computer was stolen"})}
+    for files, shut in ((stolen, {"vehicle-00"}), (dict.fromkeys(stolen), set())):
+        commit = stage.gate.commit(files, "policy(revoked): vehicle-00", [stage.gate.tip()])
+        assert stage.gate.push(commit, "refs/heads/main") == ""
+        until(lambda s=shut: page.shut(authority) == s, "main's word")
+    pages.close()
 
 
 def test_the_account_at_the_forge_reads_one_repository_and_writes_nothing(stage: Stage, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from robotkube.errors import DocumentError
-from robotkube.foundation.certificates.adapters.verification import ServerVerification
+from robotkube.foundation.certificates.adapters.verification import ClientCertificate, ServerVerification
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.robots.mqtt.broker_settings import read_broker
 
@@ -45,4 +45,27 @@ def test_what_is_wrong_is_named(tmp_path: Path, more: dict[str, Any]) -> None:
     reader = Reader("config.yaml")
     read_broker(reader, broker(tmp_path, **more))
     with pytest.raises(DocumentError, match=f"broker.{next(iter(more))}"):
+        reader.finish()
+
+
+def test_a_certificate_in_the_folder_proves_the_account(tmp_path: Path) -> None:
+    (tmp_path / "identity").write_text("certificate\n")
+    reader = Reader("config.yaml")
+    account = read_broker(reader, broker(tmp_path, authorities=AUTHORITIES))
+    reader.finish()
+    assert (account.certificate, account.login) == (ClientCertificate(tmp_path), None)
+
+
+@pytest.mark.parametrize(
+    ("identity", "more", "said"),
+    [
+        ("certificate", {}, "broker.authorities: is missing, but a certificate proves the account"),
+        ("key", {"authorities": AUTHORITIES}, "broker.credentials: .*identity: 'key'; must be certificate or password"),
+    ],
+)
+def test_what_proves_nothing_is_named(tmp_path: Path, identity: str, more: dict[str, Any], said: str) -> None:
+    (tmp_path / "identity").write_text(identity)
+    reader = Reader("config.yaml")
+    read_broker(reader, broker(tmp_path, **more))
+    with pytest.raises(DocumentError, match=said):
         reader.finish()
