@@ -55,7 +55,7 @@ def _tables(table: Mapping[str, Any]) -> Iterator[str]:
     yield from ("", "| who | reaches | at | because |", "| --- | --- | --- | --- |")
     for edge in table["edges"]:
         who = ", ".join(f"`{name}`" for name in edge["from"])
-        where = f" (with `{edge['with']}: true`)" if "with" in edge else ""
+        where = f" (with {edge['with']})" if "with" in edge else ""
         yield f"| {who} | `{edge['to']}` | {_at(edge)} | {edge['reason']}{where} |"
 
 

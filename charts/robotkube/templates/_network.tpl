@@ -164,7 +164,7 @@ spec:
 {{- if and (eq $party.namespaces $.word) (not (hasKey $elsewhere $name)) }}
 {{- $ingress := "" }}{{ $egress := "" }}
 {{- range $edge := $table.edges }}
-{{- if or (not $edge.with) (include "robotkube.accountsCertified" $.root) }}{{- /* of tls.clientCertificates, the only one so far */}}
+{{- if or (not $edge.with) (include "robotkube.accountsCertified" $.root) }}{{- /* of `certificates of accounts`, the only one so far */}}
 {{- $arguments := dict "root" $.root "table" $table "namespaces" $namespaces "elsewhere" $elsewhere "edge" $edge }}
 {{- if or (eq $edge.to $name) (and (eq $edge.to "same") (has $name $edge.from)) }}
 {{- $ingress = print $ingress "\n" (include "robotkube.networkIngress" $arguments | trim) }}

@@ -1,7 +1,7 @@
 {{- /* TLS: who makes the certificates of broker, database, forge and processes, and how everybody else knows them. */ -}}
 {{- /* The values of tls, also when an upgrade reuses values from before there were any. YAML. */ -}}
 {{- define "robotkube.tls" -}}
-{{- $tls := dict "mode" "made" "plain" false "processes" false "clientCertificates" false "hours" 2160 "names" list "authorities" "" "provided" (dict "secret" "" "database" "" "forge" "" "processes" dict) }}
+{{- $tls := dict "mode" "made" "plain" false "processes" false "accounts" "passwords" "hours" 2160 "names" list "authorities" "" "provided" (dict "secret" "" "database" "" "forge" "" "processes" dict) }}
 {{- $_ := set $tls "issuer" (dict "name" "" "kind" "Issuer" "group" "cert-manager.io") }}
 {{- range $key, $value := .Values.tls | default dict }}
 {{- if kindIs "map" $value }}{{ $value = merge (deepCopy $value) (get $tls $key) }}{{ end }}
@@ -92,7 +92,8 @@ authorities: /etc/robotkube/authorities/ca.crt
 
 {{- /* "true" when accounts at the broker are proved by certificates, else empty. */ -}}
 {{- define "robotkube.accountsCertified" -}}
-{{- if (include "robotkube.tls" . | fromYaml).clientCertificates }}{{ include "robotkube.certificatesMade" . }}{{ end -}}
+{{- $tls := include "robotkube.tls" . | fromYaml }}
+{{- if or (eq $tls.accounts "certificates") (and (eq $tls.accounts "auto") (not $tls.plain)) }}{{ include "robotkube.certificatesMade" . }}{{ end -}}
 {{- end }}
 
 {{- /* These accounts, as a list of {account, secret, namespace} with number and reserved where they have any. JSON. */ -}}
@@ -376,11 +377,11 @@ accounts:
 {{- if and $tls.provided.forge (or (ne $tls.mode "provided") (not (include "robotkube.forgeEncrypted" .))) }}
 {{ printf "tls.provided.forge is given, but tls.mode is %s, forge.kind %s and forge.tls %v: nobody mounts it. Leave it out, or set tls.mode: provided and forge.tls: true." $tls.mode .Values.forge.kind .Values.forge.tls }}
 {{- end }}
-{{- if and $tls.clientCertificates (or $external (ne $tls.mode "made")) }}
-{{ printf "tls.clientCertificates is true, but tls.mode is %s and broker.kind %s: accounts' certificates are made by the process `certificates` alone. Leave it out, or set tls.mode: made with broker.kind: mosquitto." $tls.mode .Values.broker.kind }}
+{{- if and (eq $tls.accounts "certificates") (or $external (ne $tls.mode "made")) }}
+{{ printf "tls.accounts is certificates, but tls.mode is %s and broker.kind %s: accounts' certificates are made by the process `certificates` alone. Set tls.accounts: auto, or tls.mode: made with broker.kind: mosquitto." $tls.mode .Values.broker.kind }}
 {{- end }}
-{{- if and $tls.clientCertificates $tls.plain }}
-{{ print "tls.clientCertificates is true, and tls.plain too: who has a password would connect at 1883 without a certificate. Leave one of them out." }}
+{{- if and (eq $tls.accounts "certificates") $tls.plain }}
+{{ print "tls.accounts is certificates, but tls.plain is true: who has a password would connect at 1883 without a certificate. Set tls.accounts: auto, or leave tls.plain out." }}
 {{- end }}
 {{- $processes := include "robotkube.processesEncrypted" . }}
 {{- $serving := list }}{{ range include "robotkube.servingProcesses" . | fromJsonArray }}{{ $serving = append $serving .name }}{{ end }}

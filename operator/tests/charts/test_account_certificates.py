@@ -1,4 +1,4 @@
-"""The broker of the chart with `tls.clientCertificates`, on a real mosquitto: a certificate says which account it is,
+"""The broker of the chart with `tls.accounts: certificates`, on a real mosquitto: a certificate says which account it is,
 and whoever has none, an expired one, a revoked one or one of somebody else's authority does not get in."""
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ OWN, OTHER = "mqtt/vehicles/vehicle_00/pose", "mqtt/vehicles/vehicle_01/pose"
 
 @pytest.fixture(scope="module")
 def files(helm: Any) -> dict[str, str]:
-    rendered = helm.template(CHARTS / "robotkube", PROFILE, tls={"clientCertificates": True})
+    rendered = helm.template(CHARTS / "robotkube", PROFILE, tls={"accounts": "certificates"})
     return dict(rendered.one("ConfigMap", "broker")["data"])
 
 

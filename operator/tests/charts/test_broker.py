@@ -50,12 +50,13 @@ Connect = Callable[..., Connection]
 
 @pytest.fixture(scope="module")
 def official(helm: Any) -> Any:
-    """The platform chart with two more vehicles, a road-side unit and an edge server."""
+    """The platform chart with two more vehicles, a road-side unit and an edge server, whose accounts are proved by
+    passwords. By certificates: test_account_certificates.py."""
     profile = PROFILES / "official.yaml"
     agents = yaml.safe_load(profile.read_text())["agents"]
     more = [{"name": name, "role": "vehicle"} for name in ("vehicle-03", "vehicle-07")]
     more += [{"name": "roadside-0", "role": "roadside"}, {"name": "edge-0", "role": "edge"}]
-    return helm.template(PLATFORM, profile, agents=[*agents, *more])
+    return helm.template(PLATFORM, profile, agents=[*agents, *more], tls={"accounts": "passwords"})
 
 
 def logged(configuration: str) -> list[str]:

@@ -194,9 +194,9 @@ class Nobody:
 
 
 def test_accounts_at_the_broker_have_certificates_that_helm_leaves_alone(stage: Installed) -> None:
-    """By the rights that the chart gives with `tls.clientCertificates`: those of each account, and a list of the
+    """By the rights that the chart gives with certificates: those of each account, and a list of the
     revoked ones."""
-    certified = ("--set", "tls.clientCertificates=true")
+    certified = ("--set", "tls.accounts=certificates")
     stage.cluster.helm("upgrade", "robotkube", str(CHART), *VALUES, "--no-hooks", *certified)
     answer = stage.administrator.get("/api/v1/namespaces/robotkube/configmaps/certificates").json()
     issuance = read_configuration(Reader("config.yaml"), yaml.safe_load(answer["data"]["config.yaml"])).issuance
@@ -225,7 +225,9 @@ def test_accounts_at_the_broker_have_certificates_that_helm_leaves_alone(stage: 
     for path in ("cloud-0/secrets/database-account", "robotkube/secrets/robotkube-seed"):
         with pytest.raises(InputError, match="is forbidden"):
             stage.api.get(f"/api/v1/namespaces/{path}")
-    stage.cluster.helm("upgrade", "robotkube", str(CHART), *VALUES, "--no-hooks")
+    stage.cluster.helm(
+        "upgrade", "robotkube", str(CHART), *VALUES, "--no-hooks", "--set", "tls.accounts=passwords"
+    )
     with pytest.raises(InputError, match="is forbidden"):
         objects.of_account(issuance.accounts.certificates[-1])
 

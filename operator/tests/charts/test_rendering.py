@@ -276,7 +276,8 @@ def test_no_right_reaches_pods_for_writing_or_secrets_for_listing(platform: Any)
                 there = [
                     one["metadata"] for one in platform.of_kind("Secret") if namespace_of(one) == namespace_of(role)
                 ]
-                assert set(rule["resourceNames"]) == {one["name"] for one in there if "tls" in one["name"]}
+                named = {one["name"] for one in there if "tls" in one["name"] or is_account(one["name"])}
+                assert set(rule["resourceNames"]) == named
                 assert rule["verbs"] == ["get", "patch"]
             elif "secrets" in rule["resources"] and role["metadata"].get("namespace") == "robotkube-gate":
                 assert rule["verbs"] == ["create"]
@@ -363,7 +364,8 @@ def test_every_secret_that_settings_name_is_mounted(platform: Any, process: str)
     for source in (found["secret"] for one in projected for found in one["sources"] if "secret" in found):
         if source["name"] not in KEY_SECRETS and {item["key"] for item in source["items"]} != set(CERTIFICATE):
             secret = platform.one("Secret", source["name"], namespace)
-            assert {item["key"] for item in source["items"]} <= set(secret["stringData"])
+            made = set(CERTIFICATE) if is_account(source["name"]) else set()
+            assert {item["key"] for item in source["items"]} <= set(secret["stringData"]) | made
         mounted |= {f"/var/run/secrets/robotkube/{item['path']}" for item in source["items"]}
     settings = yaml.safe_load(platform.one("ConfigMap", process, namespace)["data"]["config.yaml"])
     for path in named_paths(settings):
@@ -385,6 +387,11 @@ def test_secrets_are_files_but_where_a_program_takes_none(platform: Any) -> None
     assert [one["name"] for one in containers if one.get("envFrom")] == []
 
 
+def is_account(secret: str) -> bool:
+    """Whether a Secret is that of an account at the broker, which has a certificate, too."""
+    return secret == "broker-account" or secret.startswith("broker-account-")
+
+
 def named_paths(value: Any) -> list[str]:
     if isinstance(value, dict):
         return [path for item in value.values() for path in named_paths(item)]
@@ -402,6 +409,7 @@ def test_what_must_stay_is_kept(official: Any) -> None:
     assert kept == {
         ("CustomResourceDefinition", None, "taskdescriptions.robotkube.io"),
         ("CustomResourceDefinition", None, "inspections.robotkube.io"),
+        ("ConfigMap", None, "broker-certificates"),
         ("Secret", None, "robotkube-seed"),
         ("Secret", None, "tls-authority"),
         ("Secret", None, "broker-tls"),

@@ -108,7 +108,9 @@ POLICIES = [f"validatingadmission{kind}.admissionregistration.k8s.io" for kind i
 PUBLISHING = {"configmaps": "create", "configmaps gate-public-key": "get patch"}
 TRUSTED = {"configmaps robotkube-ca": "get patch"}
 SERVING = ("broker", "database", "forge", "manager", "manager-north", "rights", "admission", "suite-runner")
-CERTIFICATES = ["secrets tls-authority", *(f"secrets {name}-tls" for name in SERVING)]
+CERTIFIED = [f"secrets broker-account-{name}" for name in ("observer", "rights", "manager")]
+CERTIFICATES = ["secrets tls-authority", *(f"secrets {name}-tls" for name in SERVING), *CERTIFIED]
+CERTIFICATES += ["configmaps broker-certificates"]
 AGENTS = ("vehicle-00", "vehicle-01", "cloud-0")
 NAMESPACES = ("robotkube", "robotkube-gate", "argocd", "default", *AGENTS, "robotkube-suite-0")
 # account -> namespace -> what it may do there; what it may do everywhere stands under "*"
@@ -155,7 +157,7 @@ EXACTLY: dict[str, dict[str, Rights]] = {
         },
     },
     "robotkube:certificates": {
-        **dict.fromkeys(AGENTS, TRUSTED),
+        **dict.fromkeys(AGENTS, {**TRUSTED, "secrets broker-account": "get patch"}),
         "robotkube-gate": {**TRUSTED, "secrets gate-tls": "get patch"},
         "robotkube": {**TRUSTED, **dict.fromkeys(CERTIFICATES, "get patch"), "services forge": "get"},
     },

@@ -165,9 +165,10 @@ def test_the_process_reads_the_settings_of_an_earlier_chart(official: Any, tmp_p
     assert [one.secret for one in issuance.certificates] == ["broker-tls"]
 
 
-def test_accounts_are_proved_by_certificates_where_a_value_asks_for_it(helm: Any, tmp_path: Path) -> None:
+@pytest.mark.parametrize("accounts", ["auto", "certificates"])
+def test_accounts_are_proved_by_certificates(helm: Any, tmp_path: Path, accounts: str) -> None:
     """The broker takes no password, every account has a certificate to come, and its pod waits for it."""
-    rendered = helm.template(PLATFORM, OFFICIAL, tls={"clientCertificates": True})
+    rendered = helm.template(PLATFORM, OFFICIAL, tls={"accounts": accounts})
     configuration = rendered.one("ConfigMap", "broker")["data"]["mosquitto.conf"].splitlines()
     assert {"require_certificate true", "use_identity_as_username true"} <= set(configuration)
     [folder] = {line.split()[1].rpartition("/")[0] for line in configuration if line.startswith(("cafile", "crlfile"))}
@@ -196,28 +197,31 @@ def test_accounts_are_proved_by_certificates_where_a_value_asks_for_it(helm: Any
         assert (of_secrets["resourceNames"], of_secrets["verbs"]) == (["broker-account"], ["get", "patch"])
 
 
-def test_without_it_the_process_has_no_right_to_accounts_and_reaches_nobody(official: Any) -> None:
-    assert not any("identity" in one.get("stringData", {}) for one in official.of_kind("Secret"))
-    assert "certificate true" not in official.one("ConfigMap", "broker")["data"]["mosquitto.conf"]
-    roles = [one for one in official.of_kind("Role") if one["metadata"]["name"] == "certificates"]
+@pytest.mark.parametrize("more", [{"accounts": "passwords"}, {"accounts": "auto", "plain": True}, {"mode": "off"}])
+def test_without_it_the_process_has_no_right_to_accounts_and_reaches_nobody(helm: Any, more: dict[str, Any]) -> None:
+    """`auto` is without it where passwords could be sent in clear text, or nobody makes certificates."""
+    rendered = helm.template(PLATFORM, OFFICIAL, tls=more)
+    assert not any("identity" in one.get("stringData", {}) for one in rendered.of_kind("Secret"))
+    assert "certificate true" not in rendered.one("ConfigMap", "broker")["data"]["mosquitto.conf"]
+    roles = [one for one in rendered.of_kind("Role") if one["metadata"]["name"] == "certificates"]
     assert "broker-account" not in str(roles)
-    [policy] = [one for one in official.of_kind("NetworkPolicy") if one["metadata"]["name"] == "certificates"]
-    assert "rights" not in str(policy["spec"]["egress"])
+    policies = [one for one in rendered.of_kind("NetworkPolicy") if one["metadata"]["name"] == "certificates"]
+    assert "rights" not in str([policy["spec"]["egress"] for policy in policies])
 
 
 @pytest.mark.parametrize(
     ("values", "said"),
     [
-        ({"tls": {"clientCertificates": True, "mode": "off"}}, "tls.clientCertificates is true, but tls.mode is off"),
-        ({"tls": {"clientCertificates": True, "plain": True}}, "would connect at 1883 without a certificate"),
+        ({"tls": {"accounts": "certificates", "mode": "off"}}, "tls.accounts is certificates, but tls.mode is off"),
+        ({"tls": {"accounts": "certificates", "plain": True}}, "would connect at 1883 without a certificate"),
         (
             {
                 "broker": {"kind": "external", "external": {"host": "mqtt.example", "port": 8884}},
-                "tls": {"clientCertificates": True, "mode": "off"},
+                "tls": {"accounts": "certificates", "mode": "off"},
             },
             "broker.kind external: accounts' certificates are made by the process",
         ),
-        ({"tls": {"clientCertificates": "yes"}}, "clientCertificates"),
+        ({"tls": {"accounts": True}}, "accounts"),
     ],
 )
 def test_accounts_have_no_certificates_where_nobody_makes_them(helm: Any, values: dict[str, Any], said: str) -> None:

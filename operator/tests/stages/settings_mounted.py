@@ -16,6 +16,7 @@ GATE = "robotkube-gate"
 JOBS = ("bootstrap", "teardown", "installation-test", "gate-key")
 MADE = {"gate-public-key": {"gate-a050837d85070582.pem": PUBLIC}, "robotkube-ca": {"ca.crt": ""}}  # by processes
 KEY_SECRETS = ("gate-key", "kept-gate-key")  # made by the Job, given by a person
+ACCOUNTS = "broker-account"  # Secrets of accounts at the broker, into which the process puts certificates
 CERTIFICATE = {"tls.crt": "a certificate", "tls.key": "its key"}  # made by the process `certificates`, or given
 
 
@@ -58,6 +59,7 @@ def _files(rendered: Any, source: Mapping[str, Any], namespace: str | None) -> I
         data = CERTIFICATE
     else:
         data = {"key.pem": KEY} if name in KEY_SECRETS else rendered.one("Secret", name, namespace)["stringData"]
+        data = data | (CERTIFICATE if name.startswith(ACCOUNTS) else {})
     yield from ((item["path"], data[item["key"]]) for item in source["secret"]["items"])
 
 

@@ -36,7 +36,7 @@ def refused_own_certificate(alert: str) -> str:
     if "CERTIFICATE_REQUIRED" in alert or "HANDSHAKE_FAILURE" in alert:
         return (
             "the broker asks for a certificate of the account. Its Secret has one where the platform makes them "
-            "(tls.clientCertificates), with the key identity: certificate"
+            "(tls.accounts), with the key identity: certificate"
         )
     if "CERTIFICATE_EXPIRED" in alert:
         return (
