@@ -1,5 +1,5 @@
-"""The broker of the chart with `tls.accounts: certificates`, on a real mosquitto: a certificate says which account it is,
-and whoever has none, an expired one, a revoked one or one of somebody else's authority does not get in."""
+"""The broker of the chart with `tls.accounts: certificates`, on a real mosquitto: a certificate says which account it
+is, and whoever has none, an expired or revoked one, or one of somebody else's authority, does not get in."""
 
 from __future__ import annotations
 

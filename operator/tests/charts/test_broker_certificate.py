@@ -33,7 +33,9 @@ RENEWALS, MESSAGES = 4, 40
 
 @pytest.fixture(scope="module")
 def files(helm: Any) -> dict[str, str]:
-    return dict(helm.template(CHARTS / "robotkube", PROFILE, tls={"accounts": "passwords"}).one("ConfigMap", "broker")["data"])
+    return dict(
+        helm.template(CHARTS / "robotkube", PROFILE, tls={"accounts": "passwords"}).one("ConfigMap", "broker")["data"]
+    )
 
 
 @pytest.fixture

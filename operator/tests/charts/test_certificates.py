@@ -225,9 +225,7 @@ def test_accounts_at_the_broker_have_certificates_that_helm_leaves_alone(stage: 
     for path in ("cloud-0/secrets/database-account", "robotkube/secrets/robotkube-seed"):
         with pytest.raises(InputError, match="is forbidden"):
             stage.api.get(f"/api/v1/namespaces/{path}")
-    stage.cluster.helm(
-        "upgrade", "robotkube", str(CHART), *VALUES, "--no-hooks", "--set", "tls.accounts=passwords"
-    )
+    stage.cluster.helm("upgrade", "robotkube", str(CHART), *VALUES, "--no-hooks", "--set", "tls.accounts=passwords")
     with pytest.raises(InputError, match="is forbidden"):
         objects.of_account(issuance.accounts.certificates[-1])
 

@@ -78,7 +78,9 @@ def test_no_account_may_read_secrets_where_the_key_is(platform: Any) -> None:
     for role in platform.of_kind("Role", "ClusterRole"):
         if role["kind"] == "ClusterRole" or role["metadata"].get("namespace") in (None, "robotkube", GATE):
             rules = [rule for rule in role["rules"] if "secrets" in rule["resources"]]
-            rules = [rule for rule in rules if not set(map(of_account, rule.get("resourceNames") or ["*"])) <= CERTIFICATES]
+            rules = [
+                rule for rule in rules if not set(map(of_account, rule.get("resourceNames") or ["*"])) <= CERTIFICATES
+            ]
             assert [rule["verbs"] for rule in rules] in ([], [["create"]])
     known = {(role["kind"], role["metadata"]["name"]) for role in platform.of_kind("Role", "ClusterRole")}
     for binding in platform.of_kind("RoleBinding", "ClusterRoleBinding"):

@@ -389,7 +389,7 @@ def test_secrets_are_files_but_where_a_program_takes_none(platform: Any) -> None
 
 def is_account(secret: str) -> bool:
     """Whether a Secret is that of an account at the broker, which has a certificate, too."""
-    return secret == "broker-account" or secret.startswith("broker-account-")
+    return f"{secret}-".startswith("broker-account-")
 
 
 def named_paths(value: Any) -> list[str]:

@@ -108,9 +108,9 @@ POLICIES = [f"validatingadmission{kind}.admissionregistration.k8s.io" for kind i
 PUBLISHING = {"configmaps": "create", "configmaps gate-public-key": "get patch"}
 TRUSTED = {"configmaps robotkube-ca": "get patch"}
 SERVING = ("broker", "database", "forge", "manager", "manager-north", "rights", "admission", "suite-runner")
+REGISTER = {"configmaps broker-certificates": "get patch"}
 CERTIFIED = [f"secrets broker-account-{name}" for name in ("observer", "rights", "manager")]
 CERTIFICATES = ["secrets tls-authority", *(f"secrets {name}-tls" for name in SERVING), *CERTIFIED]
-CERTIFICATES += ["configmaps broker-certificates"]
 AGENTS = ("vehicle-00", "vehicle-01", "cloud-0")
 NAMESPACES = ("robotkube", "robotkube-gate", "argocd", "default", *AGENTS, "robotkube-suite-0")
 # account -> namespace -> what it may do there; what it may do everywhere stands under "*"
@@ -132,11 +132,7 @@ EXACTLY: dict[str, dict[str, Rights]] = {
     "robotkube:inspector": {
         "*": {"nodes": "list", "nodes/pods": "get"},
         **dict.fromkeys(("vehicle-00", "vehicle-01", "cloud-0"), LOOKED_AT),
-        "robotkube": {
-            INSPECTIONS: "create delete get list",
-            "inspections/status.robotkube.io": "patch",
-            EVENTS: "create",
-        },
+        "robotkube": {INSPECTIONS: "create delete get list", f"inspections/status.{GROUP}": "patch", EVENTS: "create"},
     },
     "robotkube-gate:gate": {},
     "robotkube-gate:default": {},
@@ -157,9 +153,9 @@ EXACTLY: dict[str, dict[str, Rights]] = {
         },
     },
     "robotkube:certificates": {
-        **dict.fromkeys(AGENTS, {**TRUSTED, "secrets broker-account": "get patch"}),
+        **{agent: {**TRUSTED, "secrets broker-account": "get patch"} for agent in AGENTS},
         "robotkube-gate": {**TRUSTED, "secrets gate-tls": "get patch"},
-        "robotkube": {**TRUSTED, **dict.fromkeys(CERTIFICATES, "get patch"), "services forge": "get"},
+        "robotkube": {**TRUSTED, **dict.fromkeys(CERTIFICATES, "get patch"), "services forge": "get"} | REGISTER,
     },
     "robotkube:default": {},
     "robotkube:suite-runner": {"*": {"nodes/stats": "get"}, "robotkube-suite-0": ROOM},
