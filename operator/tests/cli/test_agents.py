@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 from robotkube.cli.agents import rights
-from robotkube.cli.agents.accounts import OfMain, rows
+from robotkube.cli.agents.accounts import Ends, OfMain, rows
 from robotkube.cli.main import main
 from robotkube.cli.platform import AGENT_LABEL
 from robotkube.delivery.deployment.core.policies.agents import PATH as AGENTS_PATH
@@ -124,15 +124,17 @@ def test_an_agent_has_an_account_and_what_its_nodes_say(repository: Repository) 
         lease("other", "2027-01-01T00:00:00.000000Z"),
     ]
     said = OfMain(revocations(GitHistory(repository.folder).commits({})), {})
-    found = rows(ACCOUNTS.agents, said, nodes, leases, {})
+    ends = Ends(certificates={"vehicle-01": 1_795_651_200.0})
+    found = rows(ACCOUNTS.agents, said, nodes, leases, ends)
     assert [row["agent"] for row in found] == ["cloud-0", "roadside-0", "vehicle-00", "vehicle-01"]
     vehicle, other = found[2], found[3]
     assert vehicle == {
         **{"agent": "vehicle-00", "role": "vehicle", "namespace": "vehicle-00", "account": "revoked"},
         **{"declared": "values", "reason": "its computer was stolen", "by": "manager", "commit": commit},
         **{"nodes": 2, "ready": 1, "seen": "2026-11-26T10:00:09Z"},
-        **{"kubelet": ["v1.36.0"], "releases": [], "join_until": ""},
+        **{"kubelet": ["v1.36.0"], "releases": [], "certificate_until": "", "join_until": ""},
     }
+    assert other["certificate_until"] == "2026-11-26T00:00:00Z"
     assert (other["account"], other["nodes"], other["ready"], other["seen"]) == ("open", 1, 0, "")
 
 
@@ -146,11 +148,11 @@ def test_an_enrolled_agent_has_the_role_and_the_commit_of_main(repository: Repos
     repository.merge("later", bridge("vehicle-16", POSE_01), **enrolled)
     commits = GitHistory(repository.folder).commits({})
     said = OfMain({}, enrollments(commits), {"vehicle-16": ["mqtt-bridge 0.2.0"]})
-    found = {row["agent"]: row for row in rows(RESERVED, said, [], [], {"edge-9": "2026-11-27T01:00:00Z"})}
+    found = {row["agent"]: row for row in rows(RESERVED, said, [], [], Ends({"edge-9": "2026-11-27T01:00:00Z"}))}
     assert found["vehicle-16"] == {
         **{"agent": "vehicle-16", "role": "vehicle", "namespace": "vehicle-16", "declared": "main"},
         **{"account": "open", "reason": "", "by": "manager", "commit": commit, "nodes": 0, "ready": 0, "seen": ""},
-        **{"kubelet": [], "releases": ["mqtt-bridge 0.2.0"], "join_until": ""},
+        **{"kubelet": [], "releases": ["mqtt-bridge 0.2.0"], "certificate_until": "", "join_until": ""},
     }
     reserved = found["edge-9"]
     assert (reserved["role"], reserved["declared"], reserved["account"]) == ("", "values", "reserved")

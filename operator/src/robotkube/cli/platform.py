@@ -33,6 +33,7 @@ IMAGES = "platform-images"
 SUITE_RUNNER = "suite-runner"
 SETTINGS_KEY = "config.yaml"
 RIGHTS = "rights"
+CERTIFICATES = "broker-certificates"
 IMAGES_KEY, SERVICES_KEY = "images.yaml", "services.yaml"
 DATABASE_ACCOUNT = "database-account"
 AUTHORITIES = "robotkube-ca"
@@ -284,6 +285,10 @@ class Platform:
                 "of your own are its owner's"
             )
         return text
+
+    def certificate_register(self) -> str:
+        """The register of certificates that were issued to accounts at the broker; empty where they have none."""
+        return str((self._config_map(CERTIFICATES).get("data") or {}).get("register.json") or "")
 
     def api_server(self) -> tuple[str, str]:
         """The API server's address and the PEM of the authority that the kubeconfig verifies it by, empty when it names

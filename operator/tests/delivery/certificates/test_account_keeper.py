@@ -67,7 +67,7 @@ class Main:
 
 class Stage:
     def __init__(self) -> None:
-        self.now = time.time()
+        self.now = float(int(time.time()))  # certificates have whole seconds
         self.objects, self.main = AccountObjects(), Main()
         self.authority = issuing.new_authority("ours", self.now)
         self.keeper = self.another()
@@ -249,3 +249,30 @@ def test_the_keeper_is_ready_when_accounts_have_theirs_and_says_why_not(stage: S
     keeper.step()
     assert "vehicle-00" not in stage.keeper.lives
     assert named["robotkube_certificates_issued_total"].values[()] == 4
+
+
+def test_between_two_looks_main_is_asked_and_a_word_of_it_is_followed_at_once(stage: Stage) -> None:
+    """The usual pause is a minute; the test ends it by saying whom main shuts out, and then by stopping."""
+    issuance = Issuance("robotkube", "tls-authority", "robotkube-ca", ("robotkube",), (BROKER,), ISSUANCE)
+    keeper = CertificateKeeper(stage.objects, issuing, issuance, lambda: stage.now, stage.keeper)
+
+    class Stopping:
+        """Stops at the third wait between looks; at the second one main has shut out another agent."""
+
+        def __init__(self) -> None:
+            self.waited: list[float] = []
+
+        def wait(self, seconds: float) -> bool:
+            if not seconds:
+                return len(self.waited) >= 3
+            self.waited.append(seconds)
+            if len(self.waited) == 2:
+                stage.main.names = frozenset({"vehicle-00", "vehicle-01"})
+            return len(self.waited) >= 3
+
+    stopping = Stopping()
+    keeper.run(stopping)  # type: ignore[arg-type]
+    assert [round(seconds) for seconds in stopping.waited] == [5, 5, 5]
+    assert stage.objects.kept is not None
+    stage.authority = stage.objects.kept
+    assert stage.revoked == {stage.serial("vehicle-00")}

@@ -100,7 +100,7 @@ class Stage:
         self.keeper = self.another()
 
     def another(self, issuance: Issuance = ISSUANCE) -> CertificateKeeper:
-        self.keeper = CertificateKeeper(self.objects, self.issuer, issuance, lambda: self.now, lambda: 0.5)
+        self.keeper = CertificateKeeper(self.objects, self.issuer, issuance, lambda: self.now, jitter=lambda: 0.5)
         return self.keeper
 
     def shown(self, certificate: ServerCertificate = BROKER) -> Pair:

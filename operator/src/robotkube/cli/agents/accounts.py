@@ -15,12 +15,14 @@ from robotkube.cli.agents.joining import token_ends
 from robotkube.cli.forge_access import REPOSITORY, forge_account, reaching
 from robotkube.cli.output import Table
 from robotkube.cli.platform import AGENT_LABEL, Platform
+from robotkube.delivery.certificates.core import register as registers
 from robotkube.delivery.deployment.core.releases import RELEASES, Release, read_tree
 from robotkube.delivery.rights.core.accounts import Accounts, AgentAccount
 from robotkube.delivery.rights.core.origins import Enrollment, Revocation, enrollments, revocations
 from robotkube.delivery.rights.settings import read_accounts
 from robotkube.errors import InputError, did_you_mean
 from robotkube.foundation.documents.core.reader import Reader
+from robotkube.foundation.documents.core.times import time_text
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.forge.adapters.git import GitHistory, fetch_history
 
@@ -29,7 +31,7 @@ OPEN, REVOKED, RESERVED = "open", "revoked", "reserved"
 VALUES, MAIN = "values", "main"
 COLUMNS = (
     *("agent", "role", "declared", "account", "reason", "by", "commit", "nodes", "ready", "seen"),
-    *("kubelet", "releases", "join_until"),
+    *("kubelet", "releases", "certificate_until", "join_until"),
 )
 
 Document = Mapping[str, Any]
@@ -74,8 +76,9 @@ def declared_agent(accounts: Accounts, name: str) -> AgentAccount:
 
 def list_agents(options: argparse.Namespace) -> Table:
     """List agents: where they are declared, whether main lets their accounts in, their Nodes, and what runs there. Who
-    is connected just now the broker does not tell; a Node's lease says when its machine was heard of last. `join_until`
-    is when the token of a file ends that nobody needs any more once the Node is there."""
+    is connected just now the broker does not tell; a Node's lease says when its machine was heard of last.
+    `certificate_until` is when the certificate ends that proves the account, where accounts have any and it is not
+    revoked; `join_until` when the token of a file ends that nobody needs any more once the Node is there."""
     platform = Platform(options)
     accounts = declared(platform)
     with history(options) as main:
@@ -83,7 +86,8 @@ def list_agents(options: argparse.Namespace) -> Table:
         files = main.files(commits[-1].id, (RELEASES,)) if commits else {}
     said = OfMain(revocations(commits), enrollments(commits), _versions(read_tree(files).releases.values()))
     nodes, leases = platform.agent_nodes(), platform.node_leases()
-    return Table("agents", COLUMNS, rows(accounts.agents, said, nodes, leases, token_ends(platform)))
+    ends = Ends(token_ends(platform), registers.read(platform.certificate_register()).ends())
+    return Table("agents", COLUMNS, rows(accounts.agents, said, nodes, leases, ends))
 
 
 @dataclass(frozen=True)
@@ -96,15 +100,23 @@ class OfMain:
     versions: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class Ends:
+    """Until when an agent's machine can join, as it is said there, and its account's certificate is valid, in seconds
+    since 1970; by agent."""
+
+    tokens: Mapping[str, str] = field(default_factory=dict)
+    certificates: Mapping[str, float] = field(default_factory=dict)
+
+
 def rows(
     agents: Iterable[AgentAccount],
     said: OfMain,
     nodes: Sequence[Document],
     leases: Iterable[Document],
-    tokens: Mapping[str, str],
+    ends: Ends,
 ) -> list[Document]:
-    """A row for each agent; `nodes` and `leases` are Nodes of agents and the leases of all Nodes, `tokens` say until
-    when an agent's machine can join."""
+    """A row for each agent; `nodes` and `leases` are Nodes of agents and the leases of all Nodes."""
     heard = {one["metadata"]["name"]: str(one.get("spec", {}).get("renewTime") or "") for one in leases}
     listed: list[Document] = []
     for agent in sorted(agents, key=lambda one: one.name):
@@ -113,11 +125,22 @@ def rows(
         row = {
             **{"agent": agent.name, "role": agent.role, "namespace": agent.namespace, **_account(said, agent)},
             **{"nodes": len(own), "ready": sum(_ready(node) for node in own)},
-            **{"seen": seen.partition(".")[0] + "Z" if seen else "", "kubelet": _kubelets(own)},
-            **{"releases": list(said.versions.get(agent.namespace, ())), "join_until": tokens.get(agent.name, "")},
+            **{"seen": _whole_seconds(seen), "kubelet": _kubelets(own)},
+            **{"releases": list(said.versions.get(agent.namespace, ()))},
+            **{"certificate_until": _time(ends.certificates.get(agent.name))},
+            **{"join_until": ends.tokens.get(agent.name, "")},
         }
         listed.append(row)
     return listed
+
+
+def _time(seconds: float | None) -> str:
+    return _whole_seconds(time_text(int(seconds) * 10**9)) if seconds else ""
+
+
+def _whole_seconds(time: str) -> str:
+    """A time of RFC 3339 without a part of a second."""
+    return time.partition(".")[0] + "Z" if time else ""
 
 
 def _account(said: OfMain, agent: AgentAccount) -> Document:

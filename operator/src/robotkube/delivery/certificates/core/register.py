@@ -58,6 +58,10 @@ class Register:
             ),
         )
 
+    def ends(self) -> Mapping[str, float]:
+        """The moment at which an account's newest certificate that is not revoked expires, by account."""
+        return {one.account: one.end for one in self.issued if not one.revoked}
+
     @property
     def revoked(self) -> Mapping[int, float]:
         """The numbers of revoked certificates, each with the moment."""

@@ -66,9 +66,12 @@ class CertificateKeeper:
 
     def _rest(self, stopping: threading.Event, seconds: float) -> None:
         """Wait, where accounts are proved by certificates only until main shuts out others."""
+        if self._accounts is None:
+            stopping.wait(seconds)
+            return
         end = time.monotonic() + seconds
         while (left := end - time.monotonic()) > 0 and not stopping.wait(min(left, SHUT_SECONDS)):
-            if self._accounts is not None and self._accounts.has_news():
+            if self._accounts.has_news():
                 return
 
     def step(self) -> None:
