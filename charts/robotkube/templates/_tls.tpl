@@ -90,10 +90,17 @@ authorities: /etc/robotkube/authorities/ca.crt
 {{- if and (eq .Values.broker.kind "mosquitto") (eq (include "robotkube.tls" . | fromYaml).mode "made") }}true{{ end -}}
 {{- end }}
 
-{{- /* "true" when accounts at the broker are proved by certificates, else empty. */ -}}
+{{- /* "true" when accounts at the broker are proved by certificates, else empty. Left to itself a platform goes on as it was: robots whose
+       images are of before know nothing of certificates, and the broker takes one or the other. */ -}}
 {{- define "robotkube.accountsCertified" -}}
 {{- $tls := include "robotkube.tls" . | fromYaml }}
-{{- if or (eq $tls.accounts "certificates") (and (eq $tls.accounts "auto") (not $tls.plain)) }}{{ include "robotkube.certificatesMade" . }}{{ end -}}
+{{- $left := and (eq $tls.accounts "auto") (not $tls.plain) }}
+{{- if or (eq $tls.accounts "certificates") (and $left (not (include "robotkube.accountsOfBefore" .))) }}{{ include "robotkube.certificatesMade" . }}{{ end -}}
+{{- end }}
+
+{{- /* "true" when this platform is there already, with accounts that are proved by passwords, else empty. */ -}}
+{{- define "robotkube.accountsOfBefore" -}}
+{{- with lookup "v1" "Secret" .Release.Namespace "broker-account-observer" }}{{ if ne (get .data "identity") ("certificate" | b64enc) }}true{{ end }}{{ end -}}
 {{- end }}
 
 {{- /* These accounts, as a list of {account, secret, namespace} with number and reserved where they have any. JSON. */ -}}
@@ -176,9 +183,7 @@ authorities: /etc/robotkube/authorities/ca.crt
 host: {{ include "robotkube.brokerHost" . }}
 port: {{ include "robotkube.brokerPort" . | quote }}
 tls: {{ include "robotkube.encrypted" . | eq "true" | ternary "required" "off" | quote }}
-{{- if include "robotkube.accountsCertified" . }}
-identity: certificate
-{{- end }}
+identity: {{ include "robotkube.accountsCertified" . | eq "true" | ternary "certificate" "password" }}
 {{- end }}
 
 {{- /* The same in the settings of a process of the platform. */ -}}

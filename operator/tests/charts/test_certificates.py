@@ -193,6 +193,22 @@ class Nobody:
         return self.names
 
 
+def test_a_platform_that_has_passwords_keeps_them_until_somebody_says_otherwise(stage: Installed) -> None:
+    """Robots whose images are of before know nothing of certificates. The first installation had them at once."""
+
+    def identities(*options: str) -> set[str]:
+        stage.cluster.helm("upgrade", "robotkube", str(CHART), *VALUES, "--no-hooks", *options)
+        accounts = [("robotkube", "broker-account-observer"), *((agent, "broker-account") for agent in AGENTS)]
+        found = (stage.read(namespace, "secrets", name)["identity"] for namespace, name in accounts)
+        return {base64.b64decode(one).decode() for one in found}
+
+    assert identities() == {"certificate"}
+    assert identities("--set", "tls.accounts=passwords") == {"password"}
+    assert identities() == {"password"}
+    assert identities("--set", "tls.accounts=certificates") == {"certificate"}
+    assert identities() == {"certificate"}
+
+
 def test_accounts_at_the_broker_have_certificates_that_helm_leaves_alone(stage: Installed) -> None:
     """By the rights that the chart gives with certificates: those of each account, and a list of the
     revoked ones."""

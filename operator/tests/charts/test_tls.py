@@ -201,7 +201,9 @@ def test_accounts_are_proved_by_certificates(helm: Any, tmp_path: Path, accounts
 def test_without_it_the_process_has_no_right_to_accounts_and_reaches_nobody(helm: Any, more: dict[str, Any]) -> None:
     """`auto` is without it where passwords could be sent in clear text, or nobody makes certificates."""
     rendered = helm.template(PLATFORM, OFFICIAL, tls=more)
-    assert not any("identity" in one.get("stringData", {}) for one in rendered.of_kind("Secret"))
+    assert {
+        one["stringData"].get("identity", "password") for one in rendered.of_kind("Secret") if "stringData" in one
+    } == {"password"}
     assert "certificate true" not in rendered.one("ConfigMap", "broker")["data"]["mosquitto.conf"]
     roles = [one for one in rendered.of_kind("Role") if one["metadata"]["name"] == "certificates"]
     assert "broker-account" not in str(roles)
