@@ -15,14 +15,13 @@ from typing import Any
 
 import pytest
 
-from ci.cluster.topology import NodeSpec
 from ci.installation import NAMESPACE
 from robotkube.cli.main import main
 from scenarios.definition import cloud_topic
 from scenarios.generator import bags
 from scenarios.runner import driving, policy, proposing
 from scenarios.runner.placing import place_bags
-from tests.stages.platform.machines import declared, join, leave, values
+from tests.stages.platform.machines import declared, leave, values
 from tests.stages.platform.running_platform import Platform, eventually
 from tests.stages.platform.table_one import Stage
 
@@ -32,19 +31,27 @@ NEW, OTHER = "vehicle-01", "vehicle-00"
 DRIVING_MINUTES = 12.0
 MET_SECONDS_MAX, PARTED_SECONDS_MAX = 240.0, 120.0
 COMMAND_SECONDS_MAX = 120
+SETTLED_SECONDS_MAX = 180.0
 
 
 @contextmanager
-def reserved(platform: Platform, tmp_path: Path) -> Iterator[NodeSpec]:
-    """The agent's name is reserved and its machine off; at the end it is one of the values' agents again, with it."""
-    [machine] = [node for node in platform.scenario.nodes if node.agent == NEW]
+def reserved(platform: Platform, tmp_path: Path) -> Iterator[str]:
+    """The agent's name is reserved and its machine, whose name is yielded, off; at the end it is one of the values'
+    agents again, with it."""
+    [machine] = [node.name for node in platform.scenario.nodes if node.agent == NEW]
     with declared(platform, [{"name": NEW, "reserved": True, "claims": claims(platform)}], tmp_path):
-        leave(platform, machine.name)
+        leave(platform, machine)
         try:
             yield machine
         finally:
-            if not any(node["metadata"]["name"] == machine.name for node in platform.get("nodes")["items"]):
-                join(platform, machine)
+            if machine not in nodes(platform):
+                platform.provider.start_node(machine)
+    eventually("its Node is there", lambda: machine in nodes(platform))
+    eventually("everything that main asks for runs", platform.settled, SETTLED_SECONDS_MAX)
+
+
+def nodes(platform: Platform) -> set[str]:
+    return {node["metadata"]["name"] for node in platform.get("nodes")["items"]}
 
 
 def claims(platform: Platform) -> list[Mapping[str, Any]]:
@@ -142,7 +149,7 @@ def test_a_vehicle_enrolled_in_mid_run_takes_part_in_the_use_case(
             with driven(platform):
                 before, pods = starts(platform), stage.await_running(f"{OTHER}/mqtt-bridge")
                 person.proposes(capsys, "enroll", NEW, "--role", "vehicle")
-                join(platform, machine)
+                platform.provider.start_node(machine)
                 stage.await_running(f"{NEW}/bag-player", f"{NEW}/mqtt-bridge")
                 rule = platform.scenario.story.rule
                 eventually("it meets", lambda: platform.access.tasks_of_rule(rule), MET_SECONDS_MAX)
