@@ -31,6 +31,7 @@ BACKOFF_SECONDS_MAX = 10.0
 PAGE_OBJECTS = 500
 PAGES_MAX = 200
 CONFLICT = 409
+CONNECTIONS_KEPT_MAX = 32  # a watch holds one; by default five for each processor are kept, and more are warned of
 Object = Mapping[str, Any]
 
 
@@ -51,6 +52,7 @@ def api_client(kubeconfig: str | None = None, context: str | None = None, in_clu
             f"no access to a cluster: {reason}; run in a pod, or name a kubeconfig in KUBECONFIG"
         ) from error
     configuration.retries = False
+    configuration.connection_pool_maxsize = CONNECTIONS_KEPT_MAX
     return client.ApiClient(configuration)
 
 
@@ -156,6 +158,8 @@ class ResourceWatch:
                 self.complaint = ""
                 failures = 0
             except (UnavailableError, InputError, KeyError, ValueError) as error:
+                if self._stopping.is_set():
+                    return
                 self.complaint = f"{self._path}: {error}"
                 log.warning("watch interrupted path=%s reason=%s", self._path, error)
                 version = ""
