@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -17,7 +18,7 @@ from typing import Any
 
 import yaml
 
-from ci import component_lines, evidence, given_argocd, toolchain
+from ci import evidence, given_argocd, toolchain
 from ci.client_certificates import client_certificate
 from ci.cluster.provider import ChartProfile, ServicePort
 from ci.cluster.topology import Topology, chart_agents
@@ -25,9 +26,12 @@ from ci.errors import SetUpError
 from ci.folders import PROJECT
 from ci.images.services import SERVICE_NAMES
 from gitops.argocd import render
+from robotkube.cli.live.component_lines import InstallationWatch
 from robotkube.delivery.preflight.core.argocd import DEFINITIONS, ArgoCd
 from robotkube.delivery.preflight.core.argocd import argocd as judge_argocd
 from robotkube.delivery.preflight.core.values import merged
+from robotkube.errors import InputError
+from robotkube.foundation.kubernetes.adapters.client import api_client
 
 NAMESPACE, GATE, ARGOCD = "robotkube", "robotkube-gate", "argocd"  # of the release, of its gate alone, of Argo CD
 CHART = PROJECT / "charts" / "robotkube"
@@ -168,13 +172,24 @@ class Installer:
         options = ["-n", NAMESPACE, *(word for file in files for word in ("-f", str(file)))]
         install = ("upgrade", "--install", NAMESPACE, str(chart), *options)
         namespaces = (NAMESPACE, GATE, ARGOCD)
-        with component_lines.following(self._command("kubectl"), namespaces, say) as components:
+        with self.following(namespaces, say) as followed:
             try:
                 self._install(install, namespaces)
             except SetUpError as error:
-                raise SetUpError(what_hangs(str(error), components.hanging())) from error
+                hanging = followed.lines.hanging() if followed else ()
+                raise SetUpError(what_hangs(str(error), [line.words for line in hanging])) from error
         if chart == CHART:  # until then an older gate had the key there
             self.kubectl("-n", NAMESPACE, "delete", "secret", KEY_SECRET, "--ignore-not-found")
+
+    def following(
+        self, namespaces: Sequence[str], say: Callable[[str], None]
+    ) -> AbstractContextManager[InstallationWatch | None]:
+        """Lines about components, None where this kubeconfig is one that kubectl alone can read."""
+        try:
+            api = api_client(str(self.kubeconfig))
+        except InputError:
+            return nullcontext()
+        return InstallationWatch(api, namespaces, lambda line: say(line.words))
 
     def _install(self, command: Sequence[str], namespaces: Sequence[str]) -> None:
         """Run Helm's command and wait for what it installs."""

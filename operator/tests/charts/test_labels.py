@@ -11,6 +11,8 @@ from typing import Any
 import pytest
 import yaml
 
+from robotkube.cli.live import component_lines
+from robotkube.cli.live.rollouts import DEPLOYMENT, JOB, STATEFUL_SET
 from tests.stages.paths import CHARTS
 
 Object = dict[str, Any]
@@ -139,3 +141,14 @@ def templates(rendered: Any) -> dict[str, Object]:
     return {
         one["metadata"]["name"]: one["spec"]["template"] for one in rendered.of_kind("Deployment", "StatefulSet", "Job")
     }
+
+
+def test_an_installation_is_followed_by_them(embedded: Any, official: Any, argocd: list[Object]) -> None:
+    """`robotkube wait` finds every workload of platform and Argo CD, and their pods by the name of their component."""
+    for part, objects in (("robotkube", embedded.objects), ("robotkube", official.objects), ("argocd", argocd)):
+        workloads = [one for one in objects if one["kind"] in (DEPLOYMENT, STATEFUL_SET, JOB)]
+        assert workloads
+        for one in workloads:
+            labels, of_pods = one["metadata"]["labels"], one["spec"]["template"]["metadata"]["labels"]
+            assert labels[component_lines.PART] == part
+            assert labels[component_lines.NAME] == of_pods[component_lines.NAME], one["metadata"]["name"]

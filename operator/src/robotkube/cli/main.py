@@ -184,6 +184,14 @@ COMMANDS = (
         takes_long=True,
     ),
     Command(
+        "wait",
+        "",
+        "a line for each component of an installation when it is ready, and what hangs, until all are",
+        "live.waiting",
+        "wait_for_installation",
+        "waiting",
+    ),
+    Command(
         "break-glass",
         "sign",
         "sign a change that goes to main without the gate, as the first or the next person",

@@ -93,8 +93,13 @@ def describe_pod(item: Object, events: Sequence[Object] = ()) -> list[str]:
     """A pod's states, how containers ended first, and its last warnings."""
     name = item["metadata"]["name"]
     lines = [f"pod {name}: {text}" for text in _states(item)] or [f"pod {name}: {_phase(item)}"]
+    return lines + describe_warnings(events)
+
+
+def describe_warnings(events: Sequence[Object]) -> list[str]:
+    """The last warnings among events, as lines."""
     warnings = [event for event in events if event.get("type") == "Warning"]
-    return lines + [f"event {event.get('reason')}: {_short(event.get('message'))}" for event in warnings[-EVENTS_MAX:]]
+    return [f"event {event.get('reason')}: {_short(event.get('message'))}" for event in warnings[-EVENTS_MAX:]]
 
 
 def last_lines(log: str) -> list[str]:
