@@ -8,8 +8,11 @@ from typing import Any
 import pytest
 import yaml
 
+from robotkube.delivery.console.adapters.cluster_documents import agent_document
+from robotkube.delivery.console.settings import read_configuration as read_console
 from robotkube.delivery.gate import __main__ as gate
 from robotkube.delivery.manager import __main__ as manager
+from robotkube.delivery.manager.core.placement.placement import NodeState
 from robotkube.delivery.rights import first_file
 from robotkube.delivery.rights import settings as rights
 from robotkube.foundation.runtime.settings_file import read_settings
@@ -40,6 +43,16 @@ def test_it_has_what_every_agent_has(rendered: Any) -> None:
     assert (labels["robotkube.io/agent"], "robotkube.io/role" in labels) == (NEW, False)
     destinations = rendered.one("AppProject", "robotkube-apps", "argocd")["spec"]["destinations"]
     assert NEW in {one["namespace"] for one in destinations}
+
+
+def test_the_console_starts_with_it(rendered: Any, tmp_path: Path) -> None:
+    """Its role is what its Node says, when main has enrolled it."""
+    settings = read_settings(mounted(rendered, "console", tmp_path), read_console)
+    [agent] = [one for one in settings.agents if one["name"] == NEW]
+    assert agent == {"name": NEW, "role": "", "namespace": NEW, "records": False}
+    assert agent_document(agent, [])["role"] == "reserved"
+    node = NodeState(NEW, NEW, "vehicle", frozenset(), ready=True)
+    assert agent_document(agent, [node])["role"] == "vehicle"
 
 
 def test_every_process_knows_that_it_is_reserved(rendered: Any, tmp_path: Path) -> None:

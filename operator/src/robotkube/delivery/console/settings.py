@@ -12,6 +12,7 @@ from robotkube.delivery.console.core.asking import Writers
 from robotkube.delivery.console.core.poses import MARK
 from robotkube.delivery.console.core.signing_in import SignIn
 from robotkube.delivery.console.ports import ManagerPages
+from robotkube.delivery.deployment.core.policies.agents import read_declared
 from robotkube.foundation.certificates.settings import read_authorities
 from robotkube.foundation.documents.core.patterns import (
     ADDRESSES,
@@ -111,10 +112,9 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ConsoleCo
 def _agents(reader: Reader, value: Any) -> Sequence[Mapping[str, Any]]:
     agents = []
     for index, item in enumerate(reader.sequence(value, "agents")):
-        path = f"agents[{index}]"
-        agent = reader.mapping(item, path, ["name", "role", "namespace"], ["records"])
-        names = {key: reader.word(agent.get(key), f"{path}.{key}", NAME) for key in ("name", "role", "namespace")}
-        agents.append({**names, "records": bool(agent.get("records"))})
+        name, role, namespace = read_declared(reader, item, f"agents[{index}]")
+        records = isinstance(item, Mapping) and bool(item.get("records"))
+        agents.append({"name": name, "role": role, "namespace": namespace, "records": records})
     return agents
 
 

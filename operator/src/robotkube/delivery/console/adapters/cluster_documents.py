@@ -14,6 +14,8 @@ from robotkube.foundation.kubernetes.core.objects import object_key
 
 Object = Mapping[str, Any]
 
+RESERVED = "reserved"  # the role of an agent that has no Node yet, and none in the values
+
 
 def pod_document(item: Object) -> dict[str, Any]:
     """The item of a pod of a release."""
@@ -68,12 +70,14 @@ def release_key(item: Object) -> str:
 
 
 def agent_document(agent: Object, nodes: Iterable[NodeState]) -> dict[str, Any]:
-    """The item of a declared agent (`name`, `role`, `namespace`, `records`) with its Nodes."""
+    """The item of a declared agent (`name`, `role`, `namespace`, `records`) with its Nodes, which say the role of one
+    whose name is reserved."""
     own = sorted((node for node in nodes if node.agent == agent["name"]), key=lambda node: node.name)
     silent = [node.silent_since for node in own if node.silent_since is not None]
     hold = next((node.hold for node in own if node.hold is not None), None)
     return {
         **agent,
+        "role": agent["role"] or next((node.role for node in own if node.role), RESERVED),
         "capabilities": sorted({name for node in own for name in node.capabilities}),
         "nodes": [
             {
