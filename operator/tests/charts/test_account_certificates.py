@@ -132,6 +132,8 @@ def test_an_account_that_is_shut_may_nothing_although_its_certificate_is_good(
     shut = [{"command": "modifyRole", "rolename": "vehicle-00", "acls": []}]
     rights.ask([*shut, {"command": "disableClient", "username": "vehicle-00"}])
     turned.until(lambda: told.lost and vehicle.complaint is None, "ended, and connected again")
+    rights.ask([{"command": "modifyClient", "username": "vehicle-00"}])  # as at each of its looks
+    turned.until(lambda: told.lost == 2 and vehicle.complaint is None, "ended again")
     vehicle.publish(OWN, b"shut", False)
     other, _ = turned.add(broker.proved("vehicle-01"), "vehicle-01-telemetry")
     turned.until(lambda: other.complaint is None and other.publish(OTHER, b"after", False) is not None, "another one")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import pytest
 
@@ -116,3 +117,26 @@ def test_another_hand_lets_nobody_in(
     stage.tamper({"command": "enableClient", "username": "vehicle-00"})
     until(lambda: "rights restored about=vehicle-00 was='an account that was open'" in caplog.text, "it is told")
     until(lambda: stage.connect("vehicle-00").refused == NOT_AUTHORISED, "it is shut again")
+
+
+def test_what_a_revoked_agent_connects_once_more_is_ended_at_the_next_look(
+    stage: KeptRights, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As one can whose account a certificate proves, until the broker knows that it is revoked. That mosquitto ends it
+    by this: charts/test_account_certificates.py."""
+    monkeypatch.setattr(keeping, "CHECK_SECONDS", 3600.0)
+    stage.merge(*LINKS, revoked=STOLEN)
+    asked: list[list[str]] = []
+    ask = stage.control.ask
+
+    def noting(requests: Sequence[Mapping[str, Any]]) -> Any:
+        asked.append([f"{one['command']} {one.get('username', '')}".strip() for one in requests])
+        return ask(requests)
+
+    monkeypatch.setattr(stage.control, "ask", noting)
+    stage.keeper.wake()
+    until(lambda: ["modifyClient vehicle-00"] in asked, "the next look")
+    writes = stage.keeper.writes
+    stage.keeper.wake()
+    until(lambda: asked.count(["modifyClient vehicle-00"]) >= 2, "the one after it")
+    assert stage.keeper.writes == writes

@@ -75,6 +75,14 @@ def access_changes(standing: Standing, wanted: Collection[str], revoked: Collect
     return changes
 
 
+def endings(standing: Standing, revoked: Collection[str] | None) -> list[Mapping[str, Any]]:
+    """The requests that end what `revoked` accounts have connected once more: a certificate lets them do that, without
+    rights, until the broker knows that it is revoked. A change that changes nothing disconnects; to shut the account
+    again could hide that another hand has opened it since it was read."""
+    shut = [name for name in sorted(revoked or ()) if name in standing.clients and standing.clients[name].disabled]
+    return [{"command": "modifyClient", "username": name} for name in shut]
+
+
 def missing(standing: Standing, wanted: Mapping[str, frozenset[Entry]]) -> list[str]:
     """Accounts that the broker does not have: their passwords are with its pod alone, which makes accounts anew when it
     starts."""

@@ -14,6 +14,7 @@ from robotkube.delivery.rights.core.control import STATE, Entry, Standing, read_
 from robotkube.delivery.rights.core.differences import (
     RightsChange,
     access_changes,
+    endings,
     foreign_changes,
     missing,
     never_given,
@@ -114,9 +115,11 @@ class Keeper:
         lists, foreign = role_changes(standing, wanted), list(foreign_changes(standing, wanted))
         access = access_changes(standing, wanted, main.shut)
         self._tell(standing, wanted, foreign, again)
-        if lists or foreign or access:
-            self._control.ask([change.request for change in (*foreign, *lists, *access)])
-            self.writes += 1
+        requests = [change.request for change in (*foreign, *lists, *access)]
+        again_and_again = endings(standing, main.revoked)
+        if requests or again_and_again:
+            self._control.ask([*requests, *again_and_again])
+        self.writes += bool(requests)
         self._connections = connections
         self._written = wanted
         self._note_access(main)
