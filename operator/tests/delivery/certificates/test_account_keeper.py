@@ -33,12 +33,18 @@ class AccountObjects(Objects):
         self.accounts: dict[str, Pair] = {}
         self.kept_register = (Register(), "")
         self.written: list[str] = []
+        self.missing: set[str] = set()
+        self.refusing: set[str] = set()
 
     def of_account(self, account: AccountCertificate) -> Pair | None:
+        if account.account in self.missing:
+            raise InputError(f"Secret {account.namespace}/{account.secret} is missing")
         return self.accounts.get(account.account)
 
     def put_of_account(self, account: AccountCertificate, certificate: Pair) -> None:
         self._ask("put_of_account")
+        if account.account in self.refusing:
+            raise InputError(f"Secret {account.namespace}/{account.secret}: is forbidden")
         self.written.append(account.account)
         self.accounts[account.account] = certificate
 
@@ -276,3 +282,36 @@ def test_between_two_looks_main_is_asked_and_a_word_of_it_is_followed_at_once(st
     assert stage.objects.kept is not None
     stage.authority = stage.objects.kept
     assert stage.revoked == {stage.serial("vehicle-00")}
+
+
+def test_an_account_whose_secret_is_away_keeps_no_other_from_its_certificate(stage: Stage) -> None:
+    stage.objects.missing = {"observer"}
+    with pytest.raises(InputError, match="broker-account-observer is missing"):
+        stage.keep()
+    assert sorted(stage.objects.accounts) == ["vehicle-00"]
+    stage.objects.missing = set()
+    stage.keep()
+    assert sorted(stage.objects.accounts) == ["observer", "vehicle-00"]
+
+
+def test_what_cannot_be_put_is_not_made_anew_at_each_look(stage: Stage) -> None:
+    """The register would grow with every attempt, until nobody could write it."""
+    stage.objects.refusing = {"observer"}
+    for _ in range(5):
+        with pytest.raises(InputError, match="is forbidden"):
+            stage.keep()
+    assert [one.account for one in stage.objects.kept_register[0].issued] == ["observer", "vehicle-00"]
+    [first] = [one for one in stage.objects.kept_register[0].issued if one.account == "observer"]
+    stage.objects.refusing = set()
+    stage.keep()
+    assert stage.serial("observer") == first.serial
+    stage.objects.refusing = {"vehicle-00"}
+    stage.now += LIFE
+    with pytest.raises(InputError):
+        stage.keep()
+    stage.main.names = frozenset({"vehicle-00"})  # what waits for it is revoked as well, and is never put
+    stage.keep()
+    stage.main.names = frozenset()
+    stage.objects.refusing = set()
+    stage.keep()
+    assert stage.serial("vehicle-00") not in stage.revoked

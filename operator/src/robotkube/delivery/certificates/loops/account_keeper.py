@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from robotkube.delivery.certificates.core.issuance import AccountCertificate, AccountIssuance
 from robotkube.delivery.certificates.core.register import IssuedCertificate, Register
 from robotkube.delivery.certificates.ports import CertificateObjects, Issuer, ShutAccounts
-from robotkube.errors import InputError, UnavailableError
+from robotkube.errors import InputError, RobotKubeError, UnavailableError
 from robotkube.foundation.certificates.core.lives import Life, Pair, reason_to_replace
 
 log = logging.getLogger(__name__)
@@ -42,6 +42,7 @@ class AccountKeeper:
         self._wall = wall
         self._known: frozenset[str] | None = None  # whom main shut out at the last look
         self._authority = ""
+        self._made: dict[str, Pair] = {}  # by account: what could not be put into its Secret yet
         self.problem = ""
         self.lives: dict[str, Life] = {}  # by account, of those whose certificate is not revoked
         self.issued = self.revoked = 0
@@ -61,30 +62,54 @@ class AccountKeeper:
 
     def keep(self, authority: Pair) -> None:
         """Issue what is due, and revoke what main shuts out. Who may not be at the broker gets nothing; while nobody
-        says who that is, everybody keeps and gets his, but accounts that are reserved or revoked; `problem` says so."""
+        says who that is, everybody keeps and gets his, but accounts that are reserved or revoked; `problem` says so.
+        What fails for one account keeps no other from its own: it is raised at the end."""
         self._authority = authority.certificate
+        failures: list[RobotKubeError] = []
         shut = self._asked()
         register, revocations = self._objects.register()
-        present = {one: self._objects.of_account(one) for one in self._issuance.certificates}
+        present = self._read(failures)
         self.lives = self._described(present, authority)
         adopted = self._adopted(register.kept(self._wall()))
         revoking = adopted.revoking(shut or (), self._issuance.certificates, self._wall())
-        after, due = self._issue(revoking, shut, authority)
+        after, due = self._issue(revoking, list(present), shut, authority)
         if after != register or self._issuer.listed(revocations, authority) != frozenset(after.revoked):
             # before any of it is shown: what is not in the register cannot be revoked
             text = self._issuer.revocation_list(authority, after.revoked, self._wall())
             self._objects.put_register(after, text)
             self._tell_revoked(register, after)
         for one in due:
-            self._objects.put_of_account(one.account, one.pair)
-            life = self._issuer.describe(one.pair, authority)
-            self.lives[one.account.account] = life
-            self.issued += 1
-            cause = one.cause.replace(" ", "-")
-            log.info("certificate issued account=%s cause=%s end=%.0f", one.account.account, cause, life.end)
+            self._put(one, authority, failures)
         revoked = after.revoked
         self.lives = {name: life for name, life in self.lives.items() if life.serial not in revoked}
         self._known = shut
+        if failures:
+            raise failures[0]
+
+    def _read(self, failures: list[RobotKubeError]) -> dict[AccountCertificate, Pair | None]:
+        """The certificates of the accounts whose Secret can be read."""
+        present = {}
+        for account in self._issuance.certificates:
+            try:
+                present[account] = self._objects.of_account(account)
+            except RobotKubeError as error:
+                failures.append(error)
+        return present
+
+    def _put(self, due: _Due, authority: Pair, failures: list[RobotKubeError]) -> None:
+        """Put a certificate where its account is; one that cannot be is put there at the next look, and is not made
+        anew each time."""
+        name = due.account.account
+        try:
+            self._objects.put_of_account(due.account, due.pair)
+        except RobotKubeError as error:
+            self._made[name] = due.pair
+            failures.append(error)
+            return
+        self._made.pop(name, None)
+        self.lives[name] = life = self._issuer.describe(due.pair, authority)
+        self.issued += 1
+        log.info("certificate issued account=%s cause=%s end=%.0f", name, due.cause.replace(" ", "-"), life.end)
 
     def _asked(self) -> frozenset[str] | None:
         """Whom main shuts out; None while nobody says it, which is logged once."""
@@ -116,17 +141,36 @@ class AccountKeeper:
                 register = register.added(IssuedCertificate(account.account, life.serial, life.end, account.number))
         return register
 
-    def _issue(self, register: Register, shut: frozenset[str] | None, authority: Pair) -> tuple[Register, list[_Due]]:
+    def _issue(
+        self,
+        register: Register,
+        accounts: Iterable[AccountCertificate],
+        shut: frozenset[str] | None,
+        authority: Pair,
+    ) -> tuple[Register, list[_Due]]:
         """Make what is due, and enter it."""
         due = []
-        for account in self._issuance.certificates:
+        for account in accounts:
             reason = self._reason(account, register, shut)
-            if reason:
+            if not reason:
+                continue
+            pair = self._made_before(account, register, authority)
+            if pair is None:
                 pair = self._issuer.issue_account(authority, account.account, self._wall(), self._issuance.seconds)
                 life = self._issuer.describe(pair, authority)
                 register = register.added(IssuedCertificate(account.account, life.serial, life.end, account.number))
-                due.append(_Due(account, pair, reason))
+            due.append(_Due(account, pair, reason))
         return register, due
+
+    def _made_before(self, account: AccountCertificate, register: Register, authority: Pair) -> Pair | None:
+        """A certificate that was made and entered at an earlier look, and still holds."""
+        pair = self._made.get(account.account)
+        if pair is None:
+            return None
+        life = self._issuer.describe(pair, authority)
+        entry = register.entry(life.serial)
+        holds = entry is not None and not entry.revoked and not reason_to_replace(life, [account.account], self._wall())
+        return pair if holds else None
 
     def _reason(self, account: AccountCertificate, register: Register, shut: frozenset[str] | None) -> str:
         """The reason why an account gets a certificate now; empty when it does not."""
