@@ -3,6 +3,7 @@ is, and whoever has none, an expired or revoked one, or one of somebody else's a
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,7 +15,7 @@ from robotkube.delivery.rights.adapters.dynamic_security import DynamicSecurity
 from robotkube.foundation.certificates.adapters.issuing import describe, issue, issue_account, new_authority
 from robotkube.foundation.certificates.core.lives import Pair
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
-from tests.stages.delivery.encrypted_broker import NAME, EncryptedBroker, Turned
+from tests.stages.delivery.encrypted_broker import NAME, EncryptedBroker, Turned, running
 from tests.stages.paths import CHARTS
 from tests.stages.waiting import until
 
@@ -32,18 +33,14 @@ def files(helm: Any) -> dict[str, str]:
 
 @pytest.fixture
 def broker(files: dict[str, str], tmp_path: Path) -> Iterator[EncryptedBroker]:
-    running = EncryptedBroker(tmp_path / "broker", files)
-    running.start()
-    yield running
-    if running.process.poll() is None:
-        assert running.stop() == 0
+    with running(tmp_path / "broker", files) as broker:
+        yield broker
 
 
 @pytest.fixture
 def turned() -> Iterator[Turned]:
-    made = Turned()
-    yield made
-    made.close()
+    with contextlib.closing(Turned()) as made:
+        yield made
 
 
 def heard_by_observer(broker: EncryptedBroker, turned: Turned) -> Callable[[], list[bytes]]:

@@ -3,6 +3,7 @@ renewed certificate is shown without a restart and without a lost message."""
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import threading
 import time
@@ -19,7 +20,7 @@ from robotkube.foundation.certificates.adapters.verification import ServerVerifi
 from robotkube.registry.suites.adapters.broker_observer import PahoObserver
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.adapters.paho_channel import CLOSED
-from tests.stages.delivery.encrypted_broker import NAME, EncryptedBroker, Turned
+from tests.stages.delivery.encrypted_broker import NAME, EncryptedBroker, Turned, running
 from tests.stages.delivery.rights_broker import password
 from tests.stages.paths import CHARTS
 from tests.stages.waiting import WAIT_SECONDS_MAX, until
@@ -40,18 +41,14 @@ def files(helm: Any) -> dict[str, str]:
 
 @pytest.fixture
 def broker(files: dict[str, str], tmp_path: Path) -> Iterator[EncryptedBroker]:
-    running = EncryptedBroker(tmp_path / "broker", files)
-    running.start()
-    yield running
-    if running.process.poll() is None:
-        assert running.stop() == 0
+    with running(tmp_path / "broker", files) as broker:
+        yield broker
 
 
 @pytest.fixture
 def turned() -> Iterator[Turned]:
-    made = Turned()
-    yield made
-    made.close()
+    with contextlib.closing(Turned()) as made:
+        yield made
 
 
 def test_certificates_are_renewed_under_load_without_a_lost_message_or_connection(

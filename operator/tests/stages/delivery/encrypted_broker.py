@@ -10,6 +10,7 @@ import ssl
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -151,6 +152,16 @@ class EncryptedBroker:
         code = self.process.wait(10)
         until(lambda: not any(one.exists() for one in beside), "the end of what ran beside the broker")
         return code
+
+
+@contextmanager
+def running(folder: Path, files: dict[str, str]) -> Iterator[EncryptedBroker]:
+    """A broker on the files of the chart's ConfigMap; it has to end well, unless a test has ended it."""
+    broker = EncryptedBroker(folder, files)
+    broker.start()
+    yield broker
+    if broker.process.poll() is None:
+        assert broker.stop() == 0
 
 
 @dataclass

@@ -24,7 +24,8 @@ REFUSALS = (400, 404, 413)
 
 
 class HttpPages:
-    """The ports Pages and WhatIf, of at most `bytes_max` each. For any thread."""
+    """Answers of at most `bytes_max` each; UnavailableError when nobody answers, or the answer is none of the kind that
+    was asked for, InputError when the question is refused. For any thread."""
 
     def __init__(self, bytes_max: int = PAGE_BYTES_MAX, monotonic: Callable[[], float] = time.monotonic) -> None:
         self._bytes_max = bytes_max
@@ -35,15 +36,15 @@ class HttpPages:
         )
 
     def get(self, url: str) -> Mapping[str, Any]:
-        """See the port."""
+        """The JSON object at an address."""
         return _object(self._read("GET", url), url)
 
     def text(self, url: str) -> str:
-        """See the port."""
+        """The page at an address as it is."""
         return self._read("GET", url).decode(errors="replace")
 
     def sentences(self, url: str) -> Sequence[str]:
-        """See the port."""
+        """The JSON list of texts at an address."""
         try:
             listed = read_json(self._read("GET", url))
         except ValueError as error:
@@ -53,7 +54,7 @@ class HttpPages:
         return [str(sentence) for sentence in listed]
 
     def ask(self, url: str, question: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The answer of the port WhatIf."""
+        """The JSON object that answers a question, which is sent as JSON."""
         return _object(self._read("POST", url, json.dumps(question).encode(), QUESTION_SECONDS), url)
 
     def _read(self, method: str, url: str, body: bytes = b"", seconds: float = TIMEOUT_SECONDS) -> bytes:
