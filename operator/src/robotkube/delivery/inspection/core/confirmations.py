@@ -1,13 +1,17 @@
 """Confirming strangers: what is strange once may be a pod that starts, a list that is read a moment before the other,
-or a publication that was not followed yet. Only what two looks see, a while apart, is a stranger."""
+or a publication that was not followed yet. Only what looks see, a while apart, is a stranger."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
-from robotkube.delivery.inspection.core.strangers import Stranger
+from robotkube.delivery.inspection.core.strangers import FOREIGN_CONTAINER, FOREIGN_POD, Stranger
 
 CONFIRM_SECONDS = 2.0
+RUNTIME_SECONDS = 4.0
+"""For what the runtime has: kubelets keep that list for 2 s, so that of two looks 2 s apart the lists may be of nearly
+the same time. A pod that came and ended between two looks is in both of them, and unknown to its kubelet."""
+OF_THE_RUNTIME = (FOREIGN_POD, FOREIGN_CONTAINER)
 
 
 class Confirmations:
@@ -21,5 +25,9 @@ class Confirmations:
         look."""
         strangers = tuple(seen)
         self._first = {one.key: self._first.get(one.key, now) for one in strangers}
-        confirmed = tuple(one for one in strangers if now - self._first[one.key] >= CONFIRM_SECONDS)
+        confirmed = tuple(one for one in strangers if now - self._first[one.key] >= _seconds(one))
         return confirmed, len(confirmed) < len(strangers)
+
+
+def _seconds(one: Stranger) -> float:
+    return RUNTIME_SECONDS if one.reason in OF_THE_RUNTIME else CONFIRM_SECONDS

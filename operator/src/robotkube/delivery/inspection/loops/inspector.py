@@ -1,5 +1,5 @@
-"""The inspector's loop: every node and the workloads of releases every LOOK_SECONDS, spread over that time; what looks
-strange is looked at again CONFIRM_SECONDS later, after what may run has been read anew."""
+"""The inspector's loop: every node every NODE_SECONDS, spread over that time, and the workloads of releases every
+RELEASES_SECONDS; what looks strange is looked at again CONFIRM_SECONDS later, after what may run has been read anew."""
 
 from __future__ import annotations
 
@@ -18,7 +18,8 @@ from robotkube.delivery.inspection.loops.reporting import Reporter
 from robotkube.delivery.inspection.ports import NodeAddress, NodeReading, Nodes, PermittedSource
 from robotkube.errors import InputError, UnavailableError
 
-LOOK_SECONDS = 10.0
+NODE_SECONDS = 8.0  # with the kubelet's own 2 s and two looks again it is named within 15 s
+RELEASES_SECONDS = 10.0
 AGAIN_SECONDS = CONFIRM_SECONDS + 0.1
 SILENT_SECONDS = 30.0  # until a kubelet is asked again that did not answer twice: it may be away for long
 NODES_SECONDS = 30.0  # how often the list of nodes is read
@@ -114,12 +115,12 @@ class Inspector:
         self._due.refresh = self._clock() + pause
 
     def _list_nodes(self) -> None:
-        """Nodes that came are looked at within LOOK_SECONDS, spread over them; of those that are gone nothing stays."""
+        """Nodes that came are looked at within NODE_SECONDS, spread over them; of those that are gone nothing stays."""
         addresses = {node.name: node for node in self._nodes.addresses()}
         new = sorted(addresses.keys() - self._addresses.keys())
         begin = self._clock()
         for number, name in enumerate(new):
-            self._due.nodes[name] = begin + number * LOOK_SECONDS / len(new)
+            self._due.nodes[name] = begin + number * NODE_SECONDS / len(new)
         for name in self._addresses.keys() - addresses.keys():
             self._due.nodes.pop(name, None)
             self._confirmations.pop(f"{KUBELET}.{name}", None)
@@ -137,18 +138,18 @@ class Inspector:
         now = self._clock()
         if isinstance(answer, NodeReading):
             look = self._node_looks.look(node, answer, self._source.permitted())
-            self._due.nodes[node.name] = now + LOOK_SECONDS
+            self._due.nodes[node.name] = now + NODE_SECONDS
             self._silent.discard(node.name)
         else:
             look = Look(KUBELET, node=node.name, problem=str(answer))
-            self._due.nodes[node.name] = now + (SILENT_SECONDS if node.name in self._silent else LOOK_SECONDS)
+            self._due.nodes[node.name] = now + (SILENT_SECONDS if node.name in self._silent else NODE_SECONDS)
             self._silent.add(node.name)
         if self._report(look):
             self._due.nodes[node.name] = now + AGAIN_SECONDS
 
     def _releases(self) -> None:
         look = self._release_looks.look(self._source.permitted())
-        self._due.releases = self._clock() + LOOK_SECONDS
+        self._due.releases = self._clock() + RELEASES_SECONDS
         if self._report(look):
             self._release_looks.again()
             self._due.releases = self._clock() + AGAIN_SECONDS

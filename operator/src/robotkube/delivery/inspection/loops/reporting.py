@@ -23,7 +23,7 @@ from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.documents.core.times import time_ns, time_text
 from robotkube.foundation.runtime.ports import Series
 
-HEARTBEAT_SECONDS = 20
+HEARTBEAT_SECONDS = 15  # by the next look after that, so after 20 s at the latest
 GONE = "StrangerGone"
 
 log = logging.getLogger(__name__)
