@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import time
 import uuid
 from collections.abc import Iterator, Mapping
@@ -22,7 +21,6 @@ from ci import preparing, publish
 from ci.cluster import topology
 from ci.cluster.choosing import Choice
 from ci.cluster.embedded import Embedded
-from ci.folders import PROJECT
 from ci.images.services import SERVICE_NAMES
 from ci.installation import KEY_SECRET, NAMESPACE
 from ci.steps import Steps
@@ -30,17 +28,15 @@ from scenarios import definition, demo
 from scenarios.runner import collecting
 from scenarios.runner.access import Access
 from scenarios.runner.deployment import Deployment, specification_digests
+from tests.stages.platform.older_charts import columns, older_chart
 from tests.stages.platform.running_platform import NAME, SCENARIO, STEPS, VARIANT, Platform, eventually, spoken
 from tests.stages.platform.story import play
 
 pytestmark = pytest.mark.thorough
 
-# The chart links to the first files of the repositories.
-CHART, SEEDS = "charts/robotkube", ("gitops", "registry/policies")
 ROOMS = "robotkube-suite-"
 UNINSTALL_SECONDS_MAX = 180
 PLAN_SECONDS_MAX = 120.0
-READY_COLUMN = "- {name: Ready,"
 KEPT_TASK, KEPT_NAMESPACE = "asked-by-a-person", "cloud-0"
 SECRETS_OF_HELM = "helm.sh/release.v1"
 FORGES_CERTIFICATE = "robotkube/forge-tls"
@@ -103,24 +99,6 @@ class Aged:
         return sorted((message.topic, message.stamp, message.sha256) for message in stored)
 
 
-def older_chart(folder: Path) -> Path:
-    """The chart of the previous commit, with a definition of tasks that lacks a column."""
-
-    def git(*arguments: str) -> bytes:
-        return subprocess.run(["git", *arguments], cwd=PROJECT, capture_output=True, check=True, timeout=60).stdout
-
-    if not (PROJECT / ".git").exists():
-        pytest.skip("the chart before this one is in the Git history, which is not here")
-    bundle = git("archive", "HEAD~1", CHART, *SEEDS)
-    subprocess.run(["tar", "--extract", "--directory", folder], input=bundle, check=True, timeout=60)
-    definition_file = folder / CHART / "templates" / "taskdescriptions" / "customresourcedefinition.yaml"
-    lines = definition_file.read_text().splitlines(keepends=True)
-    kept = [line for line in lines if READY_COLUMN not in line]
-    assert len(kept) == len(lines) - 1
-    definition_file.write_text("".join(kept))
-    return folder / CHART
-
-
 def task(name: str, application: str, parameters: Mapping[str, Any]) -> str:
     """A demand, as a person would write it."""
     event = {"rule": "by-hand", "id": name, "time": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())}
@@ -166,12 +144,6 @@ def aged(pytestconfig: pytest.Config, no_demo: None, tmp_path_factory: pytest.Te
     platform.access.disconnect()
     if os.environ.get("ROBOTKUBE_KEEP_CLUSTER") != "1":
         platform.provider.down()
-
-
-def columns(platform: Platform) -> list[str]:
-    """The columns that `kubectl get tasks` shows."""
-    found = platform.get("customresourcedefinition", "taskdescriptions.robotkube.io")
-    return [column["name"] for column in found["spec"]["versions"][0]["additionalPrinterColumns"]]
 
 
 def pods(platform: Platform) -> set[str]:

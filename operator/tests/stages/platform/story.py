@@ -48,8 +48,8 @@ def counters(platform: Platform) -> InputCounters | None:
         return None
 
 
-def play(platform: Platform, scenario: Path, variant: str, folder: Path) -> Story:
-    """Run to the end; the run itself is judged by tests."""
+def play(platform: Platform, scenario: Path, variant: str, folder: Path, seconds: float = STORY_SECONDS_MAX) -> Story:
+    """Run to the end, for at most so many seconds; the run itself is judged by tests."""
     before, pods = counters(platform), {}
     output, talk = folder / "output", folder / "talk"
     command = [sys.executable, "-m", "scenarios.runner", "run", str(scenario), "--name", platform.name]
@@ -57,7 +57,7 @@ def play(platform: Platform, scenario: Path, variant: str, folder: Path) -> Stor
     with output.open("w") as out, talk.open("w") as said:
         process = subprocess.Popen(command, cwd=PROJECT, stdout=out, stderr=said)
         try:
-            end = time.monotonic() + STORY_SECONDS_MAX
+            end = time.monotonic() + seconds
             while process.poll() is None and time.monotonic() < end:
                 listed = platform.get("pods", "-A", "-l", "robotkube.io/agent")["items"]
                 pods |= {pod["metadata"]["uid"]: pod for pod in listed}
