@@ -15,7 +15,14 @@ from pygit2.enums import FileMode
 
 from robotkube.errors import AccountRefusedError, DocumentError, InputError, UnavailableError
 from robotkube.foundation.forge.adapters.git.commit_objects import LOOSE_MAX, pack_loose, store_objects
-from robotkube.foundation.forge.adapters.git.connection import GitConnection, fetch, look_up, open_clone, what_failed
+from robotkube.foundation.forge.adapters.git.connection import (
+    ORIGIN,
+    GitConnection,
+    fetch,
+    look_up,
+    open_clone,
+    what_failed,
+)
 from robotkube.foundation.forge.core.commit_objects import CommitObjects
 from robotkube.foundation.forge.ports.repositories import Commit, CommitShape
 from robotkube.writes import writes
@@ -97,13 +104,13 @@ class GitClone:
     def _fetch(self, specifications: list[str]) -> None:
         main = f"+refs/heads/{self._branch}:refs/heads/{self._branch}"
         try:
-            fetch(self._repository.remotes["origin"], [main, *specifications], self._account)
+            fetch(self._repository, [main, *specifications], self._account)
         except (pygit2.GitError, PermissionError, OSError) as error:
             raise self._unavailable("fetch", error) from error
 
     def _unavailable(self, what: str, error: Exception) -> UnavailableError:
         """The error for what libgit2 raised, which calls a refused password `authentication that we do not support`."""
-        text = what_failed(error, str(self._repository.remotes["origin"].url))
+        text = what_failed(error, str(self._repository.remotes[ORIGIN].url))
         if isinstance(error, PermissionError) or "authentication" in text:
             text = f"the forge refuses account {self._account[0]}: its password is wrong, or it is not made yet"
             return AccountRefusedError(f"{self._where}: {what}: {text}")
@@ -250,7 +257,7 @@ class GitClone:
         self._repository.references.create(name, commit, force=True)
         connection = GitConnection(self._account)
         try:
-            self._repository.remotes["origin"].push([f"{name}:refs/heads/{self._branch}"], callbacks=connection)
+            self._repository.remotes[ORIGIN].push([f"{name}:refs/heads/{self._branch}"], callbacks=connection)
         except pygit2.GitError as error:
             if "non-fastforward" in str(error) or "not present locally" in str(error):
                 return False

@@ -27,7 +27,8 @@ BY_ADDRESS = (
 pygit2.settings.server_connect_timeout = TIMEOUT_MILLISECONDS
 pygit2.settings.server_timeout = TIMEOUT_MILLISECONDS
 
-ENDED = ("reset by peer", "unexpected EOF", "SSL error")  # libgit2's words; it gives no number
+ORIGIN = "origin"
+ENDED = ("reset by peer", "Broken pipe", "unexpected EOF", "SSL error")  # libgit2's words; it gives no number
 
 _read: dict[Path, int] = {}
 
@@ -48,16 +49,19 @@ def what_failed(error: Exception, url: str) -> str:
 
 
 def fetch(
-    remote: pygit2.Remote,
+    repository: pygit2.Repository,
     specifications: Sequence[str],
     account: tuple[str, str],
     prune: FetchPrune = FetchPrune.UNSPECIFIED,
 ) -> None:
-    """Fetch by a connection of its own, and by another one when the forge ends that meanwhile. GitError or
+    """Fetch from where a repository was cloned from, by a connection of its own, and by another one when the forge ends
+    that meanwhile: a remote of libgit2 that is used again keeps its connection, also one that has ended. GitError or
     PermissionError: the forge is away or refuses."""
-    ask_again(
-        lambda: remote.fetch(list(specifications), callbacks=GitConnection(account), prune=prune), _ended_meanwhile
-    )
+
+    def once() -> None:
+        repository.remotes[ORIGIN].fetch(list(specifications), callbacks=GitConnection(account), prune=prune)
+
+    ask_again(once, _ended_meanwhile)
 
 
 def _ended_meanwhile(error: Exception) -> bool:
@@ -103,9 +107,9 @@ class GitConnection(pygit2.RemoteCallbacks):
 def open_clone(folder: Path, url: str, repository: str) -> pygit2.Repository:
     """The bare clone in `folder`, made when it is not there, of `<organisation>/<name>` at the forge."""
     clone = pygit2.init_repository(str(folder), bare=True)
-    if "origin" not in list(clone.remotes.names()):
-        clone.remotes.create("origin", f"{url}/{repository}.git")
-    clone.remotes.set_url("origin", f"{url}/{repository}.git")
+    if ORIGIN not in list(clone.remotes.names()):
+        clone.remotes.create(ORIGIN, f"{url}/{repository}.git")
+    clone.remotes.set_url(ORIGIN, f"{url}/{repository}.git")
     return clone
 
 

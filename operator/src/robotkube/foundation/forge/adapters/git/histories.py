@@ -164,7 +164,7 @@ def fetch_history(url: str, repository: str, username: str, password: str, folde
     former = str(before.target) if before else ""
     main = f"+refs/heads/{branch}:refs/heads/{branch}"
     try:
-        fetch(clone.remotes["origin"], [main, ALL_NOTES], (username, password), FetchPrune.PRUNE)
+        fetch(clone, [main, ALL_NOTES], (username, password), FetchPrune.PRUNE)
     except (pygit2.GitError, PermissionError, OSError) as error:
         raise UnavailableError(f"git {url}/{repository}: fetch: {what_failed(error, url)}") from error
     return former

@@ -10,6 +10,7 @@ import pygit2
 from robotkube.errors import UnavailableError
 from robotkube.foundation.forge.adapters.git.connection import (
     EMAIL_DOMAIN,
+    ORIGIN,
     GitConnection,
     fetch,
     open_clone,
@@ -48,7 +49,7 @@ class GitNotes:
 
     def _fetch(self) -> None:
         try:
-            fetch(self._repository.remotes["origin"], [ALL_NOTES], self._account)
+            fetch(self._repository, [ALL_NOTES], self._account)
         except (pygit2.GitError, PermissionError, OSError) as error:
             raise UnavailableError(f"notes: fetch: {what_failed(error, self._url)}") from error
 
@@ -74,7 +75,7 @@ class GitNotes:
             self._repository.create_note(f"{text}\n", who, who, commit, self._reference, True)
         connection = GitConnection(self._account)
         try:
-            self._repository.remotes["origin"].push([f"{self._reference}:{self._reference}"], callbacks=connection)
+            self._repository.remotes[ORIGIN].push([f"{self._reference}:{self._reference}"], callbacks=connection)
         except (pygit2.GitError, PermissionError, OSError) as error:
             raise UnavailableError(f"notes: push: {what_failed(error, self._url)}") from error
         if connection.refusal:

@@ -17,7 +17,13 @@ from pygit2.enums import FileMode
 
 from robotkube.errors import RefusalError, UnavailableError
 from robotkube.foundation.forge.adapters.git.commit_objects import new_objects
-from robotkube.foundation.forge.adapters.git.connection import EMAIL_DOMAIN, GitConnection, look_up, what_failed
+from robotkube.foundation.forge.adapters.git.connection import (
+    EMAIL_DOMAIN,
+    ORIGIN,
+    GitConnection,
+    look_up,
+    what_failed,
+)
 from robotkube.foundation.forge.core.commit_objects import CommitObjects
 from robotkube.writes import writes
 
@@ -116,9 +122,9 @@ class ProposalWriter:
         connection = GitConnection(self._account)
         specification = f"{'+' if force else ''}{PROPOSAL_REFERENCE}:{target}"
         try:
-            self._repository.remotes["origin"].push([specification], callbacks=connection, push_options=options or None)
+            self._repository.remotes[ORIGIN].push([specification], callbacks=connection, push_options=options or None)
         except (pygit2.GitError, PermissionError, OSError) as error:
-            words = what_failed(error, str(self._repository.remotes["origin"].url))
+            words = what_failed(error, str(self._repository.remotes[ORIGIN].url))
             raise UnavailableError(f"proposal {topic}: push: {words}") from error
         if connection.refusal:
             raise RefusalError("ProposalRefused", f"the forge refused proposal {topic}: {connection.refusal}")
