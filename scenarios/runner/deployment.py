@@ -18,15 +18,8 @@ import httpx
 import pygit2
 import yaml
 
-from robotkube.foundation.certificates.adapters.certificate_authorities import (
-    certificate_authorities,
-    what_failed,
-)
-from robotkube.foundation.forge.adapters.git.connection import (
-    ORIGIN,
-    GitConnection,
-    fetch,
-)
+from robotkube.foundation.certificates.adapters.certificate_authorities import certificate_authorities, what_failed
+from robotkube.foundation.forge.adapters.git.connection import ORIGIN, GitConnection, fetch
 from robotkube.foundation.runtime.adapters.kept_connections import KeptConnections
 from scenarios.runner.access import Endpoint
 from scenarios.runner.inputs import NANOSECONDS, Commit, MainState, PullRequest
@@ -70,10 +63,7 @@ class Deployment:
         return self
 
     def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._client.close()
         self._folder.cleanup()
@@ -81,15 +71,9 @@ class Deployment:
     def fetch(self) -> str:
         """Brings the clone up to date; returns main's tip."""
         try:
-            fetch(
-                self._repository,
-                [f"+refs/heads/{BRANCH}:refs/heads/{BRANCH}"],
-                self._account,
-            )
+            fetch(self._repository, [f"+refs/heads/{BRANCH}:refs/heads/{BRANCH}"], self._account)
         except (pygit2.GitError, PermissionError) as error:
-            raise RunError(
-                f"{self._url}/{self._name}.git: cannot be fetched as {self._user}: {error}"
-            ) from error
+            raise RunError(f"{self._url}/{self._name}.git: cannot be fetched as {self._user}: {error}") from error
         return str(self._tip().id)
 
     def file(self, path: str) -> str:
@@ -106,9 +90,7 @@ class Deployment:
 
     def releases(self) -> dict[str, Mapping[str, Any]]:
         """The release files of main by <namespace>/<release>."""
-        return {
-            name: yaml.safe_load(blob.data) for name, blob in _releases(self._tip())
-        }
+        return {name: yaml.safe_load(blob.data) for name, blob in _releases(self._tip())}
 
     def releases_since(self, commit: str) -> Iterator[tuple[str, Any]]:
         """Every release file of main as it stood at `commit` or at a later one: <namespace>/<release> and its content;
@@ -129,12 +111,7 @@ class Deployment:
         states: list[MainState] = []
         named: dict[str, tuple[str, ...]] = {}
         for at, _ in zip(walk, range(COMMITS_MAX), strict=False):
-            states.append(
-                MainState(
-                    str(at.id),
-                    {name: _tasks(blob, named) for name, blob in _releases(at)},
-                )
-            )
+            states.append(MainState(str(at.id), {name: _tasks(blob, named) for name, blob in _releases(at)}))
             if str(at.id) == commit:
                 break
         return tuple(reversed(states))
@@ -146,21 +123,14 @@ class Deployment:
     def commits(self) -> tuple[Commit, ...]:
         """All commits of main, newest first."""
         walk = self._walk()
-        commits = [
-            self._commit(commit)
-            for _, commit in zip(range(COMMITS_MAX), walk, strict=False)
-        ]
+        commits = [self._commit(commit) for _, commit in zip(range(COMMITS_MAX), walk, strict=False)]
         return tuple(commits)
 
     def pull_requests(self) -> tuple[PullRequest, ...]:
         """All pull requests, in whatever state."""
         requests: list[PullRequest] = []
         for page in range(1, PAGES_MAX + 1):
-            part = self._call(
-                "GET",
-                "/pulls",
-                params={"state": "all", "limit": PULL_REQUESTS_PER_PAGE, "page": page},
-            )
+            part = self._call("GET", "/pulls", params={"state": "all", "limit": PULL_REQUESTS_PER_PAGE, "page": page})
             requests += [_pull_request(item) for item in part]
             if len(part) < PULL_REQUESTS_PER_PAGE:
                 break
@@ -173,67 +143,41 @@ class Deployment:
     def propose(self, path: str, text: str, message: str, topic: str) -> str:
         """Proposes one changed file on top of main; returns the commit. The forge opens the pull request."""
         parent = self._tip()
-        tree = self._with_file(
-            parent.tree, path.split("/"), self._repository.create_blob(text.encode())
-        )
+        tree = self._with_file(parent.tree, path.split("/"), self._repository.create_blob(text.encode()))
         who = pygit2.Signature(self._user, f"{self._user}@forge.invalid")
-        commit = self._repository.create_commit(
-            None, who, who, message, tree, [parent.id]
-        )
+        commit = self._repository.create_commit(None, who, who, message, tree, [parent.id])
         reference = f"refs/heads/{topic}"
         self._repository.references.create(reference, commit, force=True)
         connection = GitConnection(self._account)
         try:
-            self._repository.remotes[ORIGIN].push(
-                [f"{reference}:refs/for/{BRANCH}/{topic}"], callbacks=connection
-            )
+            self._repository.remotes[ORIGIN].push([f"{reference}:refs/for/{BRANCH}/{topic}"], callbacks=connection)
         except (pygit2.GitError, PermissionError) as error:
-            raise RunError(
-                f"the forge did not accept the proposal of {self._user} for {path}: {error}"
-            ) from error
+            raise RunError(f"the forge did not accept the proposal of {self._user} for {path}: {error}") from error
         if connection.refusal:
-            raise RunError(
-                f"the forge refused the proposal of {self._user} for {path}: {connection.refusal}"
-            )
+            raise RunError(f"the forge refused the proposal of {self._user} for {path}: {connection.refusal}")
         return str(commit)
 
     def number_of(self, commit: str) -> int | None:
         """The open or merged pull request whose head is `commit`."""
-        part = self._call(
-            "GET", "/pulls", params={"state": "all", "limit": PULL_REQUESTS_PER_PAGE}
-        )
-        return next(
-            (
-                int(item["number"])
-                for item in part
-                if (item.get("head") or {}).get("sha") == commit
-            ),
-            None,
-        )
+        part = self._call("GET", "/pulls", params={"state": "all", "limit": PULL_REQUESTS_PER_PAGE})
+        return next((int(item["number"]) for item in part if (item.get("head") or {}).get("sha") == commit), None)
 
     def approve(self, number: int, commit: str) -> None:
         """A review "approve" of exactly `commit` by the other person; RunError when the forge does not take it."""
         if self._approver is None:
-            raise RunError(
-                f"pull request #{number} of {self._user}: nobody was named who approves it"
-            )
+            raise RunError(f"pull request #{number} of {self._user}: nobody was named who approves it")
         body = {"event": "APPROVED", "commit_id": commit, "body": ""}
         self._call("POST", f"/pulls/{number}/reviews", json=body, auth=self._approver)
 
     def comments(self, number: int) -> str:
         """What was said about a pull request."""
-        return "\n".join(
-            str(item["body"])
-            for item in self._call("GET", f"/issues/{number}/comments")
-        )
+        return "\n".join(str(item["body"]) for item in self._call("GET", f"/issues/{number}/comments"))
 
     def _call(self, method: str, path: str, **options: Any) -> Any:
         try:
             answer = self._client.request(method, path, **options)
         except httpx.HTTPError as error:
-            raise RunError(
-                f"forge {self._url}: {method} {path}: {what_failed(error, self._url)}"
-            ) from error
+            raise RunError(f"forge {self._url}: {method} {path}: {what_failed(error, self._url)}") from error
         if answer.is_error:
             raise RunError(
                 f"forge {self._url}: {method} {path} as {self._user}: {answer.status_code} {answer.text[:300]}"
@@ -255,24 +199,16 @@ class Deployment:
         except KeyError:
             return None
 
-    def _with_file(
-        self, tree: pygit2.Tree | None, parts: list[str], blob: pygit2.Oid
-    ) -> pygit2.Oid:
+    def _with_file(self, tree: pygit2.Tree | None, parts: list[str], blob: pygit2.Oid) -> pygit2.Oid:
         """The tree with one file put at `parts`."""
-        builder = (
-            self._repository.TreeBuilder(tree)
-            if tree is not None
-            else self._repository.TreeBuilder()
-        )
+        builder = self._repository.TreeBuilder(tree) if tree is not None else self._repository.TreeBuilder()
         name, *rest = parts
         if not rest:
             builder.insert(name, blob, pygit2.enums.FileMode.BLOB)
         else:
             below = tree[name] if tree is not None and name in tree else None
             below = below if isinstance(below, pygit2.Tree) else None
-            builder.insert(
-                name, self._with_file(below, rest, blob), pygit2.enums.FileMode.TREE
-            )
+            builder.insert(name, self._with_file(below, rest, blob), pygit2.enums.FileMode.TREE)
         return builder.write()
 
     def _commit(self, commit: pygit2.Commit) -> Commit:
@@ -310,14 +246,8 @@ def _blobs(tree: pygit2.Tree) -> Iterator[tuple[str, pygit2.Blob]]:
 
 def _releases(commit: pygit2.Commit) -> Iterator[tuple[str, pygit2.Blob]]:
     """<namespace>/<release> and file of every release of a commit."""
-    if "releases" in commit.tree and isinstance(
-        folder := commit.tree["releases"], pygit2.Tree
-    ):
-        yield from (
-            (path.removesuffix(".yaml"), blob)
-            for path, blob in _blobs(folder)
-            if path.count("/") == 1
-        )
+    if "releases" in commit.tree and isinstance(folder := commit.tree["releases"], pygit2.Tree):
+        yield from ((path.removesuffix(".yaml"), blob) for path, blob in _blobs(folder) if path.count("/") == 1)
 
 
 def _document(data: bytes) -> Any:
@@ -333,14 +263,8 @@ def _tasks(blob: pygit2.Blob, named: dict[str, tuple[str, ...]]) -> tuple[str, .
     if key not in named:
         document = _document(blob.data)
         metadata = document.get("metadata") if isinstance(document, Mapping) else None
-        annotations = (
-            metadata.get("annotations") if isinstance(metadata, Mapping) else None
-        )
-        words = (
-            annotations.get("robotkube.io/tasks", "")
-            if isinstance(annotations, Mapping)
-            else ""
-        )
+        annotations = metadata.get("annotations") if isinstance(metadata, Mapping) else None
+        words = annotations.get("robotkube.io/tasks", "") if isinstance(annotations, Mapping) else ""
         named[key] = tuple(str(words).split())
     return named[key]
 
@@ -348,9 +272,7 @@ def _tasks(blob: pygit2.Blob, named: dict[str, tuple[str, ...]]) -> tuple[str, .
 def specification_digests(releases: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
     """A digest of each release's specification: what it asks for, not which plan wrote it."""
     return {
-        name: hashlib.sha256(
-            json.dumps(document["spec"], sort_keys=True).encode()
-        ).hexdigest()[:16]
+        name: hashlib.sha256(json.dumps(document["spec"], sort_keys=True).encode()).hexdigest()[:16]
         for name, document in sorted(releases.items())
     }
 
@@ -358,9 +280,4 @@ def specification_digests(releases: Mapping[str, Mapping[str, Any]]) -> dict[str
 def _pull_request(item: Mapping[str, Any]) -> PullRequest:
     merged = bool(item.get("merged"))
     commit = item.get("merge_commit_sha") if merged else None
-    return PullRequest(
-        int(item["number"]),
-        str(item.get("title", "")),
-        merged,
-        str(commit) if commit else None,
-    )
+    return PullRequest(int(item["number"]), str(item.get("title", "")), merged, str(commit) if commit else None)
