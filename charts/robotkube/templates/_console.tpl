@@ -98,9 +98,17 @@ sign_in:
   {{- if include "robotkube.encrypted" . }}
   authorities: /etc/robotkube/authorities/ca.crt
   {{- end }}
+{{- else if $console.anybodyReads }}
+anybody_reads: true
 {{- else }}
-anybody_reads: {{ $console.anybodyReads }}
+by_forward: true
 {{- end }}
+{{- end }}
+
+{{- /* "true" where the console answers forwards of the API server's alone, else empty. */ -}}
+{{- define "robotkube.consoleByForward" -}}
+{{- $console := include "robotkube.console" . | fromYaml -}}
+{{- if and $console.enabled (not $console.anybodyReads) (not $console.signIn.issuer) (not $console.signIn.forge) }}true{{ end -}}
 {{- end }}
 
 {{- /* Addresses of other pages, those that are given. JSON. */ -}}
@@ -122,7 +130,13 @@ anybody_reads: {{ $console.anybodyReads }}
 {{- if $console.enabled }}
 {{- $signIn := $console.signIn }}
 {{- if and (not $signIn.issuer) (not $signIn.forge) (not $console.anybodyReads) }}
-{{ print "console.enabled is true, but nobody may read: console.signIn.issuer is empty. Name the provider of accounts, set console.signIn.forge: true for those of the chart's own forge, or console.anybodyReads: true, with which everybody who reaches the console reads." }}
+{{- $given := list }}{{ range list "clientId" "secret" "url" "groups" }}{{ if index $signIn . }}{{ $given = append $given . }}{{ end }}{{ end }}
+{{- if $given }}
+{{ printf "console.signIn has %s, but nobody can sign in: console.signIn.issuer is empty. Name the provider of accounts, set console.signIn.forge: true for those of the chart's own forge, or take them out: then who may forward ports to the console's pod reads." (join ", " $given) }}
+{{- end }}
+{{- end }}
+{{- if and (include "robotkube.consoleByForward" .) .Values.networkPolicies.clients.console }}
+{{ print "networkPolicies.clients.console names who reaches the console, but it answers forwards alone. Have people sign in (console.signIn.forge or issuer), let everybody who reaches it read (console.anybodyReads: true), or take the clients out." }}
 {{- end }}
 {{- if $signIn.forge }}{{ include "robotkube.consoleForgeRefusals" . }}{{ end }}
 {{- if and $signIn.issuer (not $signIn.forge) (not (and $signIn.clientId $signIn.url $signIn.groups)) }}

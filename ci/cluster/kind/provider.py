@@ -124,7 +124,6 @@ class KindCluster(ReachedThroughApiServer):
         verify them."""
         values = {
             **values_of_built_images(),
-            "console": {"enabled": True, "anybodyReads": True},  # reached by a forward, as the API server lets one
             "inspection": {"verifyKubelets": False},
             "networkPolicies": self._addresses(),
         }

@@ -98,6 +98,18 @@ def test_the_console_reads_the_settings_the_chart_writes(helm: Any, official: An
     rendered = helm.template(CHARTS / "robotkube", PROFILES / "official.yaml", console=anybody, **elsewhere)
     settings = read_settings(mounted(rendered, "console", tmp_path / "other"), console.read_configuration)
     assert (settings.sign_in, settings.poses) == (None, None)
+    assert settings.address == settings.listen.address == "0.0.0.0"  # noqa: S104 - in a pod
+
+
+def test_by_itself_the_console_answers_forwards_to_its_pod_alone(helm: Any, tmp_path: Path) -> None:
+    """And the kubelet and Prometheus at the pod's address, by another port."""
+    nobody: Any = {"signIn": {"issuer": "", "clientId": "", "url": "", "groups": []}}
+    rendered = helm.template(CHARTS / "robotkube", PROFILES / "official.yaml", console=nobody)
+    settings = read_settings(mounted(rendered, "console", tmp_path), console.read_configuration)
+    assert (settings.by_forward, settings.sign_in) == (True, None)
+    assert (settings.address, settings.listen.address) == ("127.0.0.1", "0.0.0.0")  # noqa: S104 - in a pod
+    [port] = rendered.one("Service", "console")["spec"]["ports"]
+    assert port["port"] == settings.listen.port
 
 
 def test_forge_bootstrap_and_console_agree_on_signing_in_by_the_forge(helm: Any, tmp_path: Path) -> None:

@@ -262,7 +262,11 @@ def test_the_former_name_of_the_limits_counts_with_a_warning(helm: Any, platform
 
 
 def test_who_may_sign_in_at_the_console_and_where_is_said(helm: Any, tmp_path: Path) -> None:
-    assert "The console is at" not in notes(helm, {}, tmp_path)
+    elsewhere = notes(helm, {}, tmp_path)
+    assert "The console is at" not in elsewhere
+    assert "port-forward" not in elsewhere
+    nobody = {"console": {"signIn": {"issuer": "", "clientId": "", "url": "", "groups": []}}}
+    assert "kubectl -n robotkube port-forward service/console 8080          then" in notes(helm, nobody, tmp_path)
     by_forge = yaml.safe_load(PROFILE.with_name("forge-sign-in.yaml").read_text())
     said = notes(helm, by_forge, tmp_path)
     assert (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from http.server import BaseHTTPRequestHandler, HTTPServer
@@ -25,6 +26,11 @@ class PlatformInMemory:
     def __init__(self, services: Mapping[str, tuple[str, int]]) -> None:
         self.services = dict(services)
         self.viewers: set[str] = set()
+        self.console: dict[str, Any] = {"anybody_reads": True}
+
+    def settings(self, process: str) -> Mapping[str, Any]:
+        assert process == "console"
+        return self.console
 
     def address(self, service: str) -> tuple[str, int]:
         if service not in self.services:
@@ -78,6 +84,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         (["why", "07a93656"], "/#/why/commit/07a93656"),
         (["plan", "4"], "/#/why/plan/20261118-1"),
         (["plan", "#4"], "/#/why/plan/20261118-1"),
+        (["recording", "encounter-3e07ce"], "/#/recordings/encounter-3e07ce"),
     ],
 )
 def test_the_consoles_address_is_printed_and_opened(
@@ -115,6 +122,30 @@ def test_a_console_behind_an_ingress_or_with_tls(
     platform.services["console"] = ("10.96.0.7", 8443)
     assert cli.main(["open"]) == cli.EXIT_DONE
     assert capsys.readouterr().out == "https://fleet.example.com/\nhttps://10.96.0.7:8443/\n"
+
+
+def test_where_people_sign_in_the_consoles_own_address_is_opened(platform: PlatformInMemory, opened: list[str]) -> None:
+    platform.console = {"sign_in": {"url": "https://fleet.example.com"}}
+    assert cli.main(["open", "why", "e1"]) == cli.EXIT_DONE
+    assert opened == ["https://fleet.example.com/#/why/event/e1"]
+
+
+def test_a_console_that_answers_forwards_alone_is_opened_when_there_is_one(
+    platform: PlatformInMemory, opened: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    platform.console = {"by_forward": True}
+    with socket.create_server(("127.0.0.1", 0)) as forward:
+        port = forward.getsockname()[1]
+        platform.services["console"] = ("10.96.0.7", port)
+        assert cli.main(["open"]) == cli.EXIT_DONE
+    assert capsys.readouterr() == (f"http://localhost:{port}/\n", "")
+    assert opened == [f"http://localhost:{port}/"]
+    assert cli.main(["open", "--context", "a"]) == cli.EXIT_DONE
+    out, err = capsys.readouterr()
+    assert out == f"http://localhost:{port}/\n"
+    command = f"kubectl --context a -n robotkube port-forward service/console {port}"
+    assert err == f"robotkube: nothing answers there: run `{command}`, and keep it running\n"
+    assert len(opened) == 1
 
 
 @pytest.mark.parametrize(
@@ -219,7 +250,6 @@ def test_whether_a_forge_has_its_pages_is_asked(forge: tuple[str, set[str]]) -> 
         (["plan", "20261118-2", "--forge"], cli.EXIT_REFUSED, "plan 20261118-2 has no pull request yet"),
         (["why", "nothing"], cli.EXIT_REFUSED, "no event, task, plan, pod, release or commit nothing is known"),
         (["plan", "99"], cli.EXIT_REFUSED, "the manager remembers no plan 99"),
-        (["recording", "r1"], cli.EXIT_REFUSED, "the console shows no recordings; `robotkube recording show r1` does"),
     ],
 )
 def test_what_is_not_there_is_refused(

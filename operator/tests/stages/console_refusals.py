@@ -13,9 +13,16 @@ def by_forge(pages: str = "https://git.example", **changes: Any) -> dict[str, An
 
 
 CONSOLE_REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
-    "a console that nobody may read": (
+    "half of signing in": (
         {"console": {"signIn": {"issuer": ""}}},
-        "console.enabled is true, but nobody may read: console.signIn.issuer is empty. Name the provider",
+        "console.signIn has clientId, url, groups, but nobody can sign in: console.signIn.issuer is empty. Name the",
+    ),
+    "clients of a console that answers forwards alone": (
+        {
+            "console": {"signIn": {"issuer": "", "clientId": "", "url": "", "groups": []}},
+            "networkPolicies": {"clients": {"console": [{"ipBlock": {"cidr": "192.0.2.10/32"}}]}},
+        },
+        "networkPolicies.clients.console names who reaches the console, but it answers forwards alone.",
     ),
     "a provider without a client": (
         {"console": {"signIn": {"clientId": ""}}},

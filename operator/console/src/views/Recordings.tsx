@@ -1,19 +1,21 @@
-import { useState } from "preact/hooks";
+import { useEffect, useState } from "preact/hooks";
 import type { Recording } from "../live/model";
 import { Badge, Cell, Choice, Empty, Rows, Search, Stale, Time, type Tone } from "../parts/parts";
 import { filter } from "../search";
-import { useItems, useNow, why } from "../state";
+import { useItems, useNow, usePlace, why } from "../state";
 import { clock, count, duration } from "../words";
 
 type Which = "all" | "open" | "gaps";
 const GAPS_MAX = 10;
 
-/** What recorders keep: for which events, since when, on which volume, and what is missing. */
+/** What recorders keep: for which events, since when, on which volume, and what is missing. An address may name one. */
 export function Recordings() {
   const recordings = [...useItems("recordings")].sort(
     ([, one], [, other]) => (other.began_ms ?? 0) - (one.began_ms ?? 0),
   );
+  const [, name] = usePlace();
   const [text, search] = useState("");
+  useEffect(() => search(name ? `name:${name}` : ""), [name]);
   const [which, choose] = useState<Which>("all");
   const now = useNow();
   const found = filter(text);

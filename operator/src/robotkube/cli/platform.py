@@ -187,6 +187,11 @@ class Platform:
         """Who may have signed the certificates of the platform's servers, as PEM; empty when there is none."""
         return str((self._config_map(AUTHORITIES).get("data") or {}).get("ca.crt", ""))
 
+    def settings(self, process: str) -> Mapping[str, Any]:
+        """The settings document of one of the platform's processes; empty when there is none."""
+        data = self._config_map(process).get("data") or {}
+        return read_mapping(data.get(SETTINGS_KEY, "{}"), f"configmap {self._namespace}/{process}")
+
     def address(self, service: str) -> tuple[str, int]:
         """The ClusterIP and the first port of one of the platform's Services."""
         spec = self._service(service)
@@ -257,8 +262,7 @@ class Platform:
 
     def suite_runner(self) -> Mapping[str, Any]:
         """The settings document of the suite-runner; empty when there is none."""
-        data = self._config_map(SUITE_RUNNER).get("data") or {}
-        return read_mapping(data.get(SETTINGS_KEY, "{}"), f"configmap {self._namespace}/{SUITE_RUNNER}")
+        return self.settings(SUITE_RUNNER)
 
     @property
     def call(self) -> Callable[..., Any]:

@@ -79,13 +79,21 @@ def test_signing_in_by_a_client_that_is_registered_later(tmp_path: Path) -> None
     other = read(tmp_path, sign_in=SIGN_IN, anybody_reads=None)
     assert there.who_signs_in() == other.who_signs_in() == "by the provider"
     assert read(tmp_path).who_signs_in() == "nobody: everybody who reaches it reads"
+    forwarded = read(tmp_path, anybody_reads=None, by_forward=True)
+    assert forwarded.who_signs_in() == "nobody: who may forward ports to its pod reads"
     assert (other.client_id_file, other.sign_in and other.sign_in.by_id_token) == (None, False)
 
 
 @pytest.mark.parametrize(
     ("changed", "problem"),
     [
-        ({"anybody_reads": None}, "sign_in: missing; or say that everybody who reaches it reads: anybody_reads: true"),
+        (
+            {"anybody_reads": None},
+            r"sign_in: missing; or say that everybody who reaches it reads \(anybody_reads: true",
+        ),
+        ({"by_forward": True}, "by_forward: is true, and anybody_reads says that others read; take out one"),
+        ({"by_forward": True, "anybody_reads": None, "sign_in": SIGN_IN}, "by_forward: is true, and sign_in says"),
+        ({"by_forward": "yes"}, "by_forward: 'yes' must be true or false"),
         ({"anybody_reads": False}, "sign_in: missing"),
         ({"sign_in": {**SIGN_IN, "groups": []}}, r"sign_in\.groups: must name one group or more"),
         ({"sign_in": {**SIGN_IN, "issuer": "forge"}}, r"sign_in\.issuer: 'forge' must match"),

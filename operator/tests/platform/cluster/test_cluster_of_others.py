@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
+from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
@@ -15,16 +17,21 @@ import pytest
 
 from ci import bundle, evidence, oras, preparing, publish
 from ci.cluster import topology
+from ci.cluster.provider import ServicePort
+from ci.cluster.through_api_server.forwards import Forwards
 from ci.folders import PROJECT
 from robotkube.cli.main import main
 from robotkube.registry.publication.adapters import submission_folders
 from scenarios import definition
+from tests.stages import http_calls
 from tests.stages.platform.cluster_of_others import ClusterOfOthers, made
 from tests.stages.platform.running_platform import NAME, SCENARIO, VARIANT, spoken
 
 pytestmark = pytest.mark.thorough
 
 REPORT = PROJECT / "build" / "reports" / SCENARIO.name / "report.json"
+CONSOLE_PORT, HEALTH_PORT = 8080, 8081
+POD_ADDRESS = "jsonpath={.items[0].status.podIP}"
 DEMO_SECONDS_MAX, DOWN_SECONDS_MAX = 1200, 300
 PASSING = {
     "leases.coordination.k8s.io",
@@ -85,6 +92,23 @@ def _objects(cluster: ClusterOfOthers) -> dict[str, Any]:
     return {name: "kept" if name.startswith(RETAINED) else item for name, item in found.items()}
 
 
+def _console_answers_forwards_alone(cluster: ClusterOfOthers) -> None:
+    """At its pod's address, which this machine reaches here, nobody listens but for health."""
+    kubectl = [str(cluster.provider.binaries / "kubectl"), "--kubeconfig", str(cluster.provider.kubeconfig())]
+    forwards = Forwards(kubectl)
+    try:
+        host, port = forwards.address(ServicePort("robotkube", "console", "", CONSOLE_PORT))
+        fleet = http_calls.get(f"http://{host}:{port}/api/snapshot", timeout=10).json()
+    finally:
+        forwards.end()
+    assert {"cloud-0", "vehicle-00", "vehicle-01"} <= set(fleet["items"]["agents"])
+    asked = ("get", "pods", "-n", "robotkube", "-l", "app.kubernetes.io/component=console", "-o", POD_ADDRESS)
+    address = subprocess.run([*kubectl, *asked], capture_output=True, text=True, timeout=60, check=True).stdout
+    assert http_calls.get(f"http://{address}:{HEALTH_PORT}/healthz", timeout=10).status_code == HTTPStatus.OK
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection((address, CONSOLE_PORT), timeout=10)
+
+
 def test_the_use_case_runs_there_and_leaves_it_as_it_was(cluster: ClusterOfOthers, pytestconfig: pytest.Config) -> None:
     before = _objects(cluster)
     with spoken(pytestconfig):
@@ -101,6 +125,7 @@ def test_the_use_case_runs_there_and_leaves_it_as_it_was(cluster: ClusterOfOther
     )
     report = json.loads(REPORT.read_text(encoding="utf-8"))
     assert report["passed"], said[-4000:]
+    _console_answers_forwards_alone(cluster)
     removed = _make(cluster, "down", DOWN_SECONDS_MAX)
     assert "Node machine-0" in removed
     after = _objects(cluster)

@@ -8,11 +8,12 @@ command that shows it.
 from __future__ import annotations
 
 import argparse
+import socket
 import sys
 import webbrowser
 from collections.abc import Mapping, Sequence
 from typing import Any
-from urllib.parse import quote
+from urllib.parse import quote, urlsplit
 
 import urllib3
 
@@ -27,6 +28,7 @@ DEPLOYMENT = "robotkube/deployment"
 FLEET, WHY, PLAN, RECORDING = "fleet", "why", "plan", "recording"
 KINDS = ("event", "task", "plan", "pod", "release", "commit")
 TLS_PORTS = (443, 8443)
+HERE, ANSWERS_SECONDS_MAX = "localhost", 2.0
 FORGE_SECONDS_MAX = 3.0
 PAGES_MADE = "/assets/licenses.txt"  # there with all that the forge's pages load, and served without signing in
 VIEWER = "viewer"  # the account of the embedded cluster that sees pull requests and nothing else
@@ -48,7 +50,9 @@ def naming(parser: argparse.ArgumentParser) -> None:
         "number of its pull request; with recording: its name",
     )
     parser.add_argument("--print", action="store_true", help="only print the address")
-    parser.add_argument("--console-url", metavar="URL", help="the console (default: its Service in the cluster)")
+    parser.add_argument(
+        "--console-url", metavar="URL", help="the console (default: where people sign in, or its Service)"
+    )
     parser.add_argument(
         "--forge", action="store_true", help="with plan: its pull request at the forge, also where there is a console"
     )
@@ -71,7 +75,9 @@ def open_page(options: argparse.Namespace) -> Table:
         address = console.rstrip("/") + _path(platform, options.what, options.id)
     else:
         address = _without_console(platform, options)
-    if not options.print and not webbrowser.open(address):
+    if address.startswith(f"http://{HERE}:") and not answers(address):
+        print(f"robotkube: nothing answers there: {_forward(platform, options)}, and keep it running", file=sys.stderr)
+    elif not options.print and not webbrowser.open(address):
         print("robotkube: no browser could be opened here; open the address yourself", file=sys.stderr)
     return Table("page", (), [{"what": options.what, "address": address}], single=True, text=f"{address}\n")
 
@@ -80,20 +86,44 @@ EXAMPLES = {WHY: "why cloud-0/meeting", PLAN: "plan 4", RECORDING: "recording NA
 
 
 def console_address(platform: Platform) -> str:
-    """Where the console's Service answers; empty when there is none."""
+    """Where people reach the console: its own address where they sign in, this machine's end of a forward where it
+    answers nothing else, otherwise its Service; empty when there is none."""
     try:
         host, port = platform.address(CONSOLE)
     except InputError:
         return ""
+    settings = platform.settings(CONSOLE)
+    if settings.get("sign_in"):
+        return str(settings["sign_in"]["url"])
+    if settings.get("by_forward"):
+        return f"http://{HERE}:{port}"
     return f"{'https' if port in TLS_PORTS else 'http'}://{host}:{port}"
 
 
+def answers(address: str) -> bool:
+    """Return whether somebody listens at the host and port of an address."""
+    parts = urlsplit(address)
+    try:
+        socket.create_connection((parts.hostname or HERE, parts.port or 80), ANSWERS_SECONDS_MAX).close()
+    except OSError:
+        return False
+    return True
+
+
+def _forward(platform: Platform, options: argparse.Namespace) -> str:
+    """The command of which this machine's end answers in the console's place."""
+    _, port = platform.address(CONSOLE)
+    cluster = [("--kubeconfig", options.kubeconfig), ("--context", options.context)]
+    words = "".join(f" {key} {value}" for key, value in cluster if value)
+    return f"run `kubectl{words} -n {options.platform_namespace} port-forward service/{CONSOLE} {port}`"
+
+
 def _path(platform: Platform, what: str, wanted: str) -> str:
-    """The console's path of what is named. RefusalError: it shows none of recordings."""
+    """The console's path of what is named."""
     if what == FLEET:
         return "/"
     if what == RECORDING:
-        raise RefusalError("NoPage", f"the console shows no recordings; `robotkube recording show {wanted}` does")
+        return f"/#/recordings/{quote(wanted, safe='')}"
     plans = platform.page("/plans")["plans"]
     if what == PLAN:
         kind, name = PLAN, str(named_plan(wanted, plans)["plan"])

@@ -68,7 +68,7 @@ class ConsoleProcess:
         asking = AskedParties(configuration.managers, self._pages, ImpersonatedTasks(api))
         self.console = Console(self.model, people, asking, around)
         self.server = AsgiServer(
-            self.console.app, configuration.listen.address, configuration.listen.port, configuration.proxies
+            self.console.app, configuration.address, configuration.listen.port, configuration.proxies
         )
         sources = [self.model.metrics, self.console.metrics, *([self._poses.metrics] if self._poses else [])]
         self.health = HealthServer(

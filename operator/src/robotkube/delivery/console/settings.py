@@ -29,6 +29,7 @@ from robotkube.foundation.runtime import settings_file as files
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.broker_settings import read_broker
 
+LOOPBACK = "127.0.0.1"
 SCOPES = ["openid", "profile", "groups", "read:user"]  # without the last one a token of Gitea may do all that he may
 SCOPE = re.compile(r"[!#-\[\]-~]{1,100}", re.ASCII)  # RFC 6749, section 3.3
 TEXT = re.compile(r"[^\0\n]{1,500}")
@@ -49,10 +50,11 @@ class PoseSource:
 
 @dataclass(frozen=True)
 class ConsoleConfiguration:
-    """Everything the process needs, secrets included. Without `sign_in` everybody who reaches it reads; without `poses`
-    the map has none. `hosts`: names by which browsers reach it; `proxies`: whose word counts for who asks;
-    `client_id_file`: has the client id where `sign_in` has none; `writers`: who may ask for tasks; `authorities`: files
-    with those that may have signed certificates of managers, and of the provider, besides the usual ones."""
+    """Everything the process needs, secrets included. Without `sign_in` everybody who reaches it reads, with
+    `by_forward` nobody but who may forward ports to its pod reaches it; without `poses` the map has none. `hosts`:
+    names by which browsers reach it; `proxies`: whose word counts for who asks; `client_id_file`: has the client id
+    where `sign_in` has none; `writers`: who may ask for tasks; `authorities`: files with those that may have signed
+    certificates of managers, and of the provider, besides the usual ones."""
 
     listen: files.Listen
     log_level: str
@@ -69,10 +71,19 @@ class ConsoleConfiguration:
     writers: tuple[Writers, ...]
     authorities: tuple[Path, ...] = ()
     client_id_file: Path | None = None
+    by_forward: bool = False
+
+    @property
+    def address(self) -> str:
+        """Where the page is served: with `by_forward` at the pod's own loopback address, which a forward of the API
+        server's reaches and no network."""
+        return LOOPBACK if self.by_forward else self.listen.address
 
     def who_signs_in(self) -> str:
         """Whether people sign in, and whether they can by now, in words."""
         file = self.client_id_file
+        if self.by_forward:
+            return "nobody: who may forward ports to its pod reads"
         if self.sign_in is None:
             return "nobody: everybody who reaches it reads"
         return "by the provider" if file is None or file.exists() else f"by the provider, once {file} is there"
@@ -85,7 +96,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ConsoleCo
         document,
         "",
         required,
-        ["poses", "broker", "page", "links", "proxies", "sign_in", "anybody_reads", "authorities"],
+        ["poses", "broker", "page", "links", "proxies", "sign_in", "anybody_reads", "by_forward", "authorities"],
     )
     namespaces = reader.mapping(root.get("namespaces") or {}, "namespaces", ["platform", "argocd"])
     links = reader.mapping(root.get("links") or {}, "links", [], ["forge", "argocd"])
@@ -106,6 +117,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ConsoleCo
         authorities=_authorities(reader, root),
         writers=tuple(_writers(reader, root.get("sign_in"))),
         client_id_file=_client_id_file(reader, root.get("sign_in")),
+        by_forward=_by_forward(reader, root),
     )
 
 
@@ -140,11 +152,24 @@ def _poses(reader: Reader, root: Mapping[str, Any]) -> PoseSource | None:
     return PoseSource(read_broker(reader, root.get("broker")), topic)
 
 
+def _by_forward(reader: Reader, root: Mapping[str, Any]) -> bool:
+    given = root.get("by_forward", False)
+    if given not in (True, False):
+        reader.problems.append(f"by_forward: {given!r} must be true or false")
+    others = [key for key in ("sign_in", "anybody_reads") if root.get(key)]
+    if given is True and others:
+        reader.problems.append(f"by_forward: is true, and {others[0]} says that others read; take out one of the two")
+    return given is True
+
+
 def _sign_in(reader: Reader, root: Mapping[str, Any]) -> SignIn | None:
     value = root.get("sign_in")
     if value is None:
-        if root.get("anybody_reads") is not True:
-            reader.problems.append("sign_in: missing; or say that everybody who reaches it reads: anybody_reads: true")
+        if root.get("anybody_reads") is not True and root.get("by_forward") is not True:
+            reader.problems.append(
+                "sign_in: missing; or say that everybody who reaches it reads (anybody_reads: true), or who may "
+                "forward ports to it (by_forward: true)"
+            )
         return None
     required = ["issuer", "url", "groups"]
     given = reader.mapping(value, "sign_in", required, [*OPTIONAL_OF_SIGN_IN, "writers"])
