@@ -92,6 +92,19 @@ def _objects(cluster: ClusterOfOthers) -> dict[str, Any]:
     return {name: "kept" if name.startswith(RETAINED) else item for name, item in found.items()}
 
 
+def _what_runs_has_the_digests_of_the_bundle(cluster: ClusterOfOthers) -> None:
+    """By the names of the registry, as each runtime says what its containers' images are."""
+    kubectl = [str(cluster.provider.binaries / "kubectl"), "--kubeconfig", str(cluster.provider.kubeconfig())]
+    asked = subprocess.run([*kubectl, "get", "pods", "-A", "-o", "json"], capture_output=True, timeout=60, check=True)
+    statuses = [pod["status"] for pod in json.loads(asked.stdout)["items"]]
+    kinds = ("containerStatuses", "initContainerStatuses")
+    runs = {one["imageID"] for status in statuses for kind in kinds for one in status.get(kind, ()) if one["imageID"]}
+    bundled = {image.name: image.reference.partition("@")[2] for image in preparing.everything().images}
+    names = {place.partition("@")[0].rpartition("/")[2] for place in runs}
+    assert names >= {"platform", "mosquitto", "gitea", "ferretdb", "argocd", "mqtt-bridge", "event-detector"}, runs
+    assert runs == {f"{cluster.place}/{name}@{bundled[name]}" for name in names}
+
+
 def _console_answers_forwards_alone(cluster: ClusterOfOthers) -> None:
     """At its pod's address, which this machine reaches here, nobody listens but for health."""
     kubectl = [str(cluster.provider.binaries / "kubectl"), "--kubeconfig", str(cluster.provider.kubeconfig())]
@@ -126,6 +139,7 @@ def test_the_use_case_runs_there_and_leaves_it_as_it_was(cluster: ClusterOfOther
     report = json.loads(REPORT.read_text(encoding="utf-8"))
     assert report["passed"], said[-4000:]
     _console_answers_forwards_alone(cluster)
+    _what_runs_has_the_digests_of_the_bundle(cluster)
     removed = _make(cluster, "down", DOWN_SECONDS_MAX)
     assert "Node machine-0" in removed
     after = _objects(cluster)
