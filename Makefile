@@ -84,7 +84,7 @@ golden:         ## write the charts' golden renderings anew
 
 reference:      ## write the generated pages of docs/reference anew
 	@$(PYTHON) -m ci.reference
-	@$(PYTHON) -m ci.principles
+	@$(PYTHON) -m ci.reference.principles
 
 docs:           ## build the documentation as a site, into build/docs/site
 	@$(PYTHON) -m ci.docs $(addprefix --source ,$(SOURCE))

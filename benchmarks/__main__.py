@@ -37,9 +37,9 @@ from benchmarks import (
     rights,
 )
 from benchmarks.measuring import Comparison
-from ci import preparing
 from ci.errors import SetUpError
 from ci.folders import PROJECT
+from ci.test import preparing
 
 REPORT = PROJECT / "build" / "reports" / "benchmarks.json"
 BENCHMARKS: dict[str, Callable[[], list[Comparison]]] = {

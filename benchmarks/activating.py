@@ -22,8 +22,8 @@ from typing import Any, NamedTuple
 from benchmarks import detecting, pods
 from benchmarks.bags import POSE_TYPE
 from benchmarks.measuring import Quantiles, quantiles
-from ci import preparing
 from ci.errors import SetUpError
+from ci.machine import preparing
 from robotkube.testing.api_server import ApiServerInMemory
 
 ROUNDS = 25

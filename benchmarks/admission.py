@@ -17,9 +17,9 @@ from dataclasses import asdict
 from typing import Any
 
 from benchmarks.measuring import Comparison, quantiles, record
-from ci import preparing
 from ci.errors import SetUpError
 from ci.folders import PROJECT
+from ci.machine import preparing
 
 RECORD = PROJECT / "build" / "bench" / "admission.json"
 COST = "tests.stages.kubernetes.admission_cost"

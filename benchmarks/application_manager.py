@@ -21,9 +21,9 @@ from typing import Any
 
 from benchmarks import decisions as decide
 from benchmarks.measuring import Comparison, Quantiles, quantiles, record
-from ci import preparing
 from ci.errors import SetUpError
 from ci.folders import PROJECT
+from ci.machine import preparing
 
 GateDecisions = Mapping[str, Sequence[float]]
 """Milliseconds of each, as benchmarks/decisions.py names them."""

@@ -22,8 +22,8 @@ from benchmarks import bridging, pods
 from benchmarks.bags import POSE_TYPE
 from benchmarks.bridging import NaiveBridgePath
 from benchmarks.data_path import DataPath
-from ci import preparing
 from ci.errors import SetUpError
+from ci.machine import preparing
 
 OUT, IN = "out", "in"
 AGENT, TOPIC = "vehicle-00", "/vehicles/vehicle_00/pose"

@@ -23,8 +23,8 @@ from typing import Any, NamedTuple
 from benchmarks import pods
 from benchmarks.bags import CLOUD_TYPE, POSE_TYPE
 from benchmarks.measuring import quantiles
-from ci import preparing
 from ci.errors import SetUpError
+from ci.machine import preparing
 from robotkube.robots.detector.adapters.ros_topics import KNOWN_SECONDS
 
 AGENTS = 15

@@ -18,8 +18,8 @@ from typing import Any
 from benchmarks.data_path import DataPath, measure_lossless
 from benchmarks.measuring import Comparison, record
 from benchmarks.recording import cpu_seconds
-from ci import preparing
 from ci.folders import PROJECT
+from ci.machine import preparing
 
 RECORD = PROJECT / "build" / "bench" / "event-detector.json"
 VEHICLES, LIDARS, TURNS, SECONDS = 3, 1, 2, 14.0

@@ -13,9 +13,9 @@ from dataclasses import asdict
 from benchmarks import activating, bridge, detecting, pods, proximity, recording, rule_testing, whole_path
 from benchmarks.detecting import AGENTS, DEMO_RATE
 from benchmarks.measuring import Comparison, record
-from ci import preparing
 from ci.errors import SetUpError
 from ci.folders import PROJECT
+from ci.machine import preparing
 
 RECORD = PROJECT / "build" / "bench" / "event-detector.json"
 RECEIVE_US_MAX, SUSTAINED_MIN, LATENCY_P99_MS_MAX, EVENTS = 40.0, 15_000.0, 20.0, 1000

@@ -9,8 +9,8 @@ import time
 from pathlib import Path
 
 from benchmarks.measuring import Comparison, seconds
-from ci import preparing
 from ci.folders import PROJECT
+from ci.machine import preparing
 from robotkube.registry.charts.adapters.chart_folders import pack
 from robotkube.robots.recording.adapters.segments import McapSegments
 from robotkube.robots.recording.core.documents import Received

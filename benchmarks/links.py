@@ -28,9 +28,9 @@ from benchmarks.bridge_peers import POSE_BYTES
 from benchmarks.data_path import DataPath
 from benchmarks.link_peers import HERTZ, WARMING_UP
 from benchmarks.measuring import Comparison, Quantiles, quantiles, record
-from ci import preparing
 from ci.errors import SetUpError
 from ci.folders import PROJECT
+from ci.machine import preparing
 from robotkube.foundation.certificates.adapters.verification import ServerVerification, client_context
 
 RECORD = PROJECT / "build" / "bench" / "links.json"

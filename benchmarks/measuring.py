@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ci import preparing
 from ci.errors import SetUpError
 from ci.folders import PROJECT
+from ci.machine import preparing
 
 
 @dataclass(frozen=True)

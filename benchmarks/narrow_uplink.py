@@ -21,9 +21,9 @@ from typing import Any
 from benchmarks import bags, pods
 from benchmarks.data_path import BRIDGE, DataPath, measure_once
 from benchmarks.measuring import Comparison, record
-from ci import preparing
 from ci.errors import SetUpError
 from ci.folders import PROJECT
+from ci.machine import preparing
 
 RECORD = PROJECT / "build" / "bench" / "event-detector.json"
 MBIT, SECONDS, LIDARS = 20, 20.0, 2

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.pods import Pod
-from ci import preparing
+from ci.machine import preparing
 from robotkube.foundation.certificates.adapters.issuing import throw_away
 from robotkube.foundation.certificates.adapters.verification import ServerVerification
 from robotkube.foundation.certificates.core.lives import Issued

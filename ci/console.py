@@ -25,9 +25,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from ci.environments import environment
 from ci.errors import InputError, SetUpError
 from ci.folders import PROJECT, user_cache
+from ci.machine.environments import environment
 from ci.packages import ensure as ensure_installed
 
 SOURCES = PROJECT / "operator" / "console"

@@ -20,8 +20,8 @@ import yaml
 
 from ci import evidence, given_argocd, toolchain
 from ci.client_certificates import client_certificate
-from ci.cluster.provider import ChartProfile, ServicePort
-from ci.cluster.topology import Topology, chart_agents
+from ci.cluster_contract.provider import ChartProfile, ServicePort
+from ci.cluster_contract.topology import Topology, chart_agents
 from ci.errors import SetUpError
 from ci.folders import PROJECT
 from ci.images.services import SERVICE_NAMES

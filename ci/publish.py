@@ -30,10 +30,10 @@ from typing import TypeVar
 import httpx
 
 from ci import evidence
-from ci.cluster.images import Image, lock_file, read_lock
-from ci.cluster.provider import Reach, ServicePort, directly
+from ci.cluster_contract.provider import Reach, ServicePort, directly
 from ci.errors import InputError, SetUpError
 from ci.folders import PROJECT
+from ci.images.image_lock import Image, lock_file, read_lock
 from robotkube.cli.registry.source_problems import check_sources
 from robotkube.cli.registry.submit import ACCOUNT, CATALOGUE, ForgeAccess, submit_sources
 from robotkube.errors import RobotKubeError, UnavailableError

@@ -13,12 +13,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ci import preparing, publish
-from ci.cluster import choosing, topology
+from ci import publish
+from ci.cluster import choosing
 from ci.cluster.choosing import Choice
-from ci.cluster.provider import Provider
+from ci.cluster_contract import topology
+from ci.cluster_contract.provider import Provider
 from ci.errors import SetUpError
+from ci.images import preparation
 from ci.installation import Installer
+from ci.machine import preparing
 from ci.steps import Steps
 from scenarios import definition
 from scenarios.definition import Scenario, ScenarioError
@@ -71,7 +74,7 @@ def bring_up(request: Request, steps: Steps) -> Installer:
     with steps.step("tool chain"):
         binaries = preparing.tool_chain()
     with steps.step("images"):
-        prepared = preparing.everything()
+        prepared = preparation.everything()
     provider = choosing.provider(request.cluster, binaries)
     with steps.step("cluster"):
         provider.up(wanted, prepared.images)

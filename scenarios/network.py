@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ci.cluster.emulation.conditions import NetworkConditions
+from ci.cluster_contract.network_conditions import NetworkConditions
 
 RATES_AND_DELAYS = ("up_mbit", "down_mbit", "round_trip_ms", "jitter_ms", "loss_percent")
 

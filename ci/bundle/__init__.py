@@ -14,12 +14,13 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from ci import evidence, oras, preparing, publish, toolchain
+from ci import evidence, oras, publish, toolchain
 from ci.bundle.platform_chart import bundled_chart
-from ci.cluster.images import Image
 from ci.errors import SetUpError
 from ci.folders import PROJECT
+from ci.images import preparation
 from ci.images.built import REPOSITORY
+from ci.images.image_lock import Image
 from ci.steps import Steps
 from gitops.argocd import render
 from robotkube import VERSION
@@ -38,7 +39,7 @@ PIECE_BYTES = 1 << 20
 
 def make(folder: Path = FOLDER) -> Path:
     """Build what is missing, and write the bundle with its checksum and the program that copies it; its path."""
-    prepared = preparing.everything()
+    prepared = preparation.everything()
     steps = Steps(2)
     with steps.step("read charts and evidence") as step:
         references = prepared.references()

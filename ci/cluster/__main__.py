@@ -6,13 +6,17 @@ import argparse
 import sys
 from pathlib import Path
 
-from ci import packages, preflight
-from ci.cluster import admission, choosing, images, topology
-from ci.cluster.embedded import Embedded
+from ci import packages
+from ci.cluster import choosing
+from ci.cluster.embedded.admission import admission_files
+from ci.cluster.embedded.host.records import ClusterFolders
+from ci.cluster.embedded.provider import Embedded
 from ci.cluster.existing.provider import Existing
-from ci.cluster.records import ClusterFolders
+from ci.cluster_contract import topology
 from ci.errors import InputError, SetUpError
 from ci.folders import PROJECT
+from ci.images import image_lock
+from ci.machine import preflight
 
 SCENARIO = PROJECT / "scenarios" / "pose-point-cloud-db-recording" / "scenario.yaml"
 INTERRUPTED = 130  # as of a shell
@@ -39,7 +43,7 @@ def arguments() -> argparse.ArgumentParser:
     up.add_argument("--images", type=Path, default=None, help="lock file of the images")
     up.add_argument("--binaries", type=Path, default=None, help="folder of the tool chain's programs")
     up.add_argument(
-        "--admission", choices=admission.CHOICES, default="", help="enforce admission (default: from files)"
+        "--admission", choices=admission_files.CHOICES, default="", help="enforce admission (default: from files)"
     )
     up.add_argument(
         "--dry-run",
@@ -71,10 +75,10 @@ def dry_run(options: argparse.Namespace, chosen: choosing.Choice) -> None:
     """List what could not be made again under enforced admission; InputError when there is something."""
     if chosen.kind != Embedded.kind:
         raise InputError(f"--dry-run: says nothing of a cluster of kind {chosen.kind}, which is made anew or used")
-    from ci.cluster.stranded import stranded_now
+    from ci.cluster.embedded.admission.stranded import stranded_now
 
     wanted = topology.read(options.topology, topology.overrides(options.set))
-    lock = images.read_lock(options.images or images.lock_file())
+    lock = image_lock.read_lock(options.images or image_lock.lock_file())
     report = stranded_now(ClusterFolders(options.name), wanted, lock)
     print("\n".join(report.lines))
     if report.stranded:
@@ -112,7 +116,7 @@ def up(options: argparse.Namespace, chosen: choosing.Choice) -> None:
     if chosen.kind == Embedded.kind:
         preflight.require()
         packages.ensure("cluster")
-    lock = images.read_lock(options.images or images.lock_file())
+    lock = image_lock.read_lock(options.images or image_lock.lock_file())
     binaries = options.binaries
     if binaries is None:
         from ci.toolchain import ensure

@@ -8,15 +8,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ci.cluster import cleaning
-from ci.cluster.addresses import PLANS
-from ci.cluster.embedded import Embedded
+from ci.cluster.embedded import cleaning
+from ci.cluster.embedded.network.addresses import PLANS
+from ci.cluster.embedded.provider import Embedded
 from ci.cluster.existing.nodes import GivenCluster
 from ci.cluster.existing.provider import Existing
 from ci.cluster.k3s import archives
 from ci.cluster.k3s.provider import K3s
 from ci.cluster.kind.provider import KindCluster
-from ci.cluster.provider import Provider
+from ci.cluster_contract.provider import Provider
 from ci.errors import InputError
 
 NAME = "demo"

@@ -9,11 +9,10 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from ci import links
-from ci.docs import loading, pages
-from ci.environments import environment
+from ci.docs import links, loading, pages
 from ci.errors import InputError, SetUpError
 from ci.folders import PROJECT
+from ci.machine.environments import environment
 
 LOCK = PROJECT / "operator" / "requirements" / "docs.txt"
 OUTPUT = PROJECT / "build" / "docs"

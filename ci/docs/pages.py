@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from posixpath import basename, dirname
 
-from ci import markdown
+from ci.docs import markdown
+from ci.docs.links import ELSEWHERE, resolved
 from ci.errors import SetUpError
-from ci.links import ELSEWHERE, resolved
 
 Read = Callable[[str], str]
 

@@ -6,12 +6,12 @@ import argparse
 import sys
 from pathlib import Path
 
-from ci import preparing
 from ci.errors import SetUpError
 from ci.images.building import NAMES, build_images, cache_folder, sources
 from ci.images.catalogue import BY_NAME
 from ci.images.contexts import ContextError, assemble, check
 from ci.images.services import GROUND, SERVICE_NAMES
+from ci.machine import preparing
 from ci.steps import Steps
 from robotkube.errors import RobotKubeError
 from robotkube.registry.images.adapters.buildah import BuildError

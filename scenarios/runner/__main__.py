@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from ci.cluster import choosing
-from ci.cluster.provider import Provider
+from ci.cluster_contract.provider import Provider
 from ci.errors import SetUpError
 from scenarios import definition
 from scenarios.definition import ScenarioError

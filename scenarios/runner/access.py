@@ -17,7 +17,7 @@ from kubernetes import client, config
 from kubernetes.client.exceptions import ApiException
 from kubernetes.stream import stream
 
-from ci.cluster.provider import Reach, ServicePort, directly
+from ci.cluster_contract.provider import Reach, ServicePort, directly
 from robotkube.foundation.certificates.adapters.account_files import REQUIRED, SERVER_NAME, TLS
 from robotkube.foundation.certificates.adapters.certificate_authorities import trust_text
 from robotkube.foundation.database.adapters.connection import DatabaseLogin, login_at

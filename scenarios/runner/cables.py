@@ -6,8 +6,8 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 
-from ci.cluster.emulation.conditions import Measured, NetworkConditions, Traffic
-from ci.cluster.provider import NetworkEmulator
+from ci.cluster_contract.network_conditions import Measured, NetworkConditions, Traffic
+from ci.cluster_contract.provider import NetworkEmulator
 from ci.errors import SetUpError
 from scenarios.definition import Scenario
 from scenarios.generator.coverage import CoverageHole, coverage_holes

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ci.cluster.provider import Volumes
+from ci.cluster_contract.provider import Volumes
 from ci.errors import SetUpError
 from robotkube.foundation.database.adapters.connection import connect
 from robotkube.robots.recording.core.documents import AUDITS, INDEX, RECORDINGS, SAMPLES

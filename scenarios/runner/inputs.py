@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from ci.cluster.emulation.conditions import Measured, Traffic
+from ci.cluster_contract.network_conditions import Measured, Traffic
 
 NANOSECONDS = 1_000_000_000
 STORY = "story"

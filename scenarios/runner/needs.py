@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping
 
-from ci.cluster.provider import NodeState, Provider
+from ci.cluster_contract.provider import NodeState, Provider
 from ci.errors import InputError
 from scenarios.definition import Node, Scenario
 from scenarios.runner.acting import describe

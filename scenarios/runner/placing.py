@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from ci.cluster.provider import Volumes
+from ci.cluster_contract.provider import Volumes
 from scenarios.runner.access import Access
 
 VOLUME_CLAIM = "bags"

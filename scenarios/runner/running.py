@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from ci.cluster.provider import Provider, Volumes
+from ci.cluster_contract.provider import Provider, Volumes
 from ci.errors import SetUpError
 from ci.folders import PROJECT
 from scenarios import definition

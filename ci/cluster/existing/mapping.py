@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from ci import yaml_files
-from ci.cluster.topology import LABEL, NodeSpec, Topology, agent_labels
+from ci.cluster_contract.topology import LABEL, NodeSpec, Topology, agent_labels
 from ci.errors import InputError
 
 PLATFORM = "platform"  # a role whose agent may have any name

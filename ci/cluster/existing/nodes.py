@@ -12,9 +12,9 @@ from typing import Any
 from kubernetes import client, config
 from urllib3.exceptions import HTTPError
 
-from ci.cluster import status
+from ci.cluster.api_server import node_states
 from ci.cluster.existing.labels import Change, GivenNode
-from ci.cluster.provider import NodeState
+from ci.cluster_contract.provider import NodeState
 from ci.errors import InputError, SetUpError
 
 CONFLICT, NOT_FOUND = 409, 404
@@ -62,7 +62,7 @@ class GivenNodes:
 
     def all_states(self) -> tuple[NodeState, ...]:
         """All Nodes, by name."""
-        return tuple(sorted(map(status.node_state, self.objects()), key=lambda one: one.name))
+        return tuple(sorted(map(node_states.node_state, self.objects()), key=lambda one: one.name))
 
     def objects(self) -> list[Mapping[str, Any]]:
         """All Nodes as the API server has them."""

@@ -12,15 +12,16 @@ from typing import Any
 
 import yaml
 
-from ci.cluster import images, status
+from ci.cluster.api_server import node_states
 from ci.cluster.existing import labels, mapping, registry, removing
 from ci.cluster.existing.nodes import Ask, GivenCluster, GivenNodes
-from ci.cluster.images import Image
-from ci.cluster.provider import ChartProfile, NodeState
 from ci.cluster.through_api_server.ways import ReachedThroughApiServer, values_of_built_images
-from ci.cluster.topology import Topology, chart_agents
+from ci.cluster_contract.provider import ChartProfile, NodeState
+from ci.cluster_contract.topology import Topology, chart_agents
 from ci.errors import InputError, SetUpError
 from ci.folders import user_cache
+from ci.images import image_lock
+from ci.images.image_lock import Image
 from ci.installation import ARGOCD, GATE, NAMESPACE, Installer
 from robotkube.delivery.preflight.core.values import merged
 
@@ -141,7 +142,7 @@ class Existing(ReachedThroughApiServer):
 
     def status(self) -> str:
         """See NodesProvider.status."""
-        return status.nodes_table(self.nodes())
+        return node_states.nodes_table(self.nodes())
 
     def work(self) -> Path:
         """See Provider.work."""
@@ -209,7 +210,7 @@ class Existing(ReachedThroughApiServer):
             return labels.adding(nodes, entries)
 
         if self._given.registry:
-            built = images.read_lock(images.lock_file()) if wanted is None else wanted
+            built = image_lock.read_lock(image_lock.lock_file()) if wanted is None else wanted
             registry.require(self._given.registry, built, self._given.authority)
         changes = self._nodes.planned(plan)
         if changes or also:

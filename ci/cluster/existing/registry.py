@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
-from ci.cluster.images import Image
 from ci.errors import InputError, SetUpError
+from ci.images.image_lock import Image
 from robotkube.errors import InputError as WrongInput
 from robotkube.errors import RobotKubeError
 from robotkube.registry.bundles.adapters.accounts import kept_account

@@ -8,10 +8,10 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from ci.cluster.images import Image
 from ci.cluster.k3s.nodes import K3sNode
 from ci.cluster.through_api_server.bundled_images import bundled
 from ci.errors import InputError, SetUpError
+from ci.images.image_lock import Image
 from robotkube.registry.bundles.adapters.loading import load_k3s
 
 VARIABLE, FOLDER = "K3S_IMAGES", "/var/lib/rancher/k3s/agent/images"

@@ -12,11 +12,11 @@ from typing import Any
 from ci.cluster.existing.nodes import Ask, GivenCluster
 from ci.cluster.existing.provider import Existing
 from ci.cluster.existing.registry import place_of
-from ci.cluster.images import Image
 from ci.cluster.k3s import archives, nodes, registries
 from ci.cluster.k3s.nodes import K3sNode
 from ci.cluster.k3s.values import STORAGE, chart_values
 from ci.errors import InputError
+from ci.images.image_lock import Image
 from ci.steps import Steps
 
 KUBECONFIG = Path("/etc/rancher/k3s/k3s.yaml")

@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from ci.cluster.topology import NodeSpec, Topology
+from ci.cluster_contract.topology import NodeSpec, Topology
 
 CLUSTER = "robotkube"
 # Neither the ranges of the embedded cluster nor kind's own, of which one is the same.

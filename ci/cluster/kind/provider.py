@@ -10,17 +10,18 @@ from pathlib import Path
 from typing import Any
 
 from ci import kind_cli
-from ci.cluster import cgroups, status
+from ci.cluster.api_server import node_states
 from ci.cluster.existing.nodes import GivenCluster, GivenNodes
-from ci.cluster.images import Image
 from ci.cluster.kind.command import Kind
 from ci.cluster.kind.configuration import CLUSTER, configuration, key
-from ci.cluster.provider import ChartProfile, NodeState
 from ci.cluster.through_api_server.bundled_images import bundled
 from ci.cluster.through_api_server.ways import ReachedThroughApiServer, values_of_built_images
-from ci.cluster.topology import Topology
+from ci.cluster_contract.provider import ChartProfile, NodeState
+from ci.cluster_contract.topology import Topology
 from ci.errors import InputError, SetUpError
 from ci.folders import user_cache
+from ci.images.image_lock import Image
+from ci.machine import cgroups
 from ci.steps import Steps
 from robotkube.registry.bundles.adapters.loading import FIRST, load_kind
 
@@ -109,7 +110,7 @@ class KindCluster(ReachedThroughApiServer):
 
     def status(self) -> str:
         """See NodesProvider.status."""
-        return status.nodes_table(self.nodes())
+        return node_states.nodes_table(self.nodes())
 
     def work(self) -> Path:
         """See Provider.work."""

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from ci.cluster.images import Image
 from ci.errors import SetUpError
 from ci.images.built import REPOSITORY
+from ci.images.image_lock import Image
 from robotkube import VERSION
 from robotkube.errors import RobotKubeError
 from robotkube.registry.bundles.adapters.layouts import Bundle, read_bundle

@@ -10,7 +10,7 @@ import subprocess
 import threading
 from collections.abc import Sequence
 
-from ci.cluster.provider import ServicePort
+from ci.cluster_contract.provider import ServicePort
 from ci.errors import SetUpError
 
 HOST = "localhost"  # a name, since the forge's certificate has it

@@ -13,11 +13,11 @@ from typing import Any
 import yaml
 
 from ci import toolchain
-from ci.cluster import images
-from ci.cluster.provider import ServicePort, WayOfAPerson
 from ci.cluster.through_api_server.forwards import HOST, Forwards
 from ci.cluster.through_api_server.pod_volumes import PodVolumes
+from ci.cluster_contract.provider import ServicePort, WayOfAPerson
 from ci.folders import PROJECT
+from ci.images import image_lock
 from ci.installation import moved
 
 OF_BUILT_IMAGES = PROJECT / "charts" / "robotkube" / "values-embedded.yaml"
@@ -62,7 +62,7 @@ class ReachedThroughApiServer(ABC):
     @contextmanager
     def volumes(self) -> Iterator[PodVolumes]:
         """See Provider.volumes."""
-        [image] = [one for one in images.read_lock(images.lock_file()) if one.name == IMAGE_OF_VOLUMES]
+        [image] = [one for one in image_lock.read_lock(image_lock.lock_file()) if one.name == IMAGE_OF_VOLUMES]
         registry, secrets = self.pulls_from()
         used = PodVolumes(self._kubectl, moved(image.reference, registry), self.work(), secrets)
         try:

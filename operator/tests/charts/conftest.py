@@ -15,7 +15,7 @@ import pytest
 import yaml
 
 from ci import toolchain
-from ci.cluster.provider import ChartProfile
+from ci.cluster_contract.provider import ChartProfile
 from ci.installation import stated_networks
 from gitops.argocd.render import render
 from tests.stages.paths import REPOSITORY

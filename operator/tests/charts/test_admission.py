@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from ci.cluster import admission
+from ci.cluster.embedded.admission import admission_files
 from robotkube.foundation.runtime.settings_file import read_settings
 from robotkube.registry.admission import __main__ as process
 from robotkube.registry.admission.core.domain import Domain, account
@@ -31,7 +31,7 @@ def domain(embedded: Rendered, remover: str = "") -> Domain:
     namespaces = [item["metadata"] for item in embedded.of_kind("Namespace")]
     agents = sorted(item["name"] for item in namespaces if "robotkube.io/agent" in item["labels"])
     tests = sorted(item["name"] for item in namespaces if item["name"].startswith("robotkube-suite-"))
-    return Domain(tuple(agents), tuple(tests), admission.CHARTS, remover=remover)
+    return Domain(tuple(agents), tuple(tests), admission_files.CHARTS, remover=remover)
 
 
 def of_admission(rendered: Rendered) -> set[tuple[str, str]]:

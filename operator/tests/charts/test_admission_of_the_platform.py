@@ -13,20 +13,23 @@ import pytest
 import yaml
 
 from ci import evidence
-from ci.cluster import admission, node_processes, objects, topology
-from ci.cluster.addresses import plan_of
-from ci.cluster.catalogue_on_disk import CatalogueOnDisk
-from ci.cluster.embedded import Embedded
-from ci.cluster.images import Image
-from ci.cluster.records import ClusterFolders
-from ci.cluster.stranded import report
+from ci.cluster.embedded import first_objects
+from ci.cluster.embedded.admission import admission_files
+from ci.cluster.embedded.admission.catalogue_on_disk import CatalogueOnDisk
+from ci.cluster.embedded.admission.stranded import report
+from ci.cluster.embedded.host.records import ClusterFolders
+from ci.cluster.embedded.network.addresses import plan_of
+from ci.cluster.embedded.nodes import node_processes
+from ci.cluster.embedded.provider import Embedded
+from ci.cluster_contract import topology
 from ci.errors import SetUpError
+from ci.images.image_lock import Image
 from ci.installation import PLATFORM_IMAGES, Installer, platform_values
 from robotkube.registry.admission.loops.following import CatalogueListing, Following
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 from robotkube.registry.suites.core.namespace_contents import HelperPod, placed
 from tests.charts.conftest import APP_CHARTS, CHARTS, PLATFORM, PROFILES, Helm, Rendered
-from tests.ci.cluster.test_admission import SCENARIO, Forge
+from tests.ci.cluster.embedded.admission.test_admission import SCENARIO, Forge
 from tests.stages.kubernetes.controllers import controlling
 from tests.stages.kubernetes.installed_chart import Cluster, prepared_cluster
 from tests.stages.programs import program
@@ -111,14 +114,14 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Demo]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
         folders, wanted = ClusterFolders("demo"), topology.read(SCENARIO, {"vehicles": "2"})
-        options = admission.prepare(folders, wanted, LOCK)
+        options = admission_files.prepare(folders, wanted, LOCK)
         with prepared_cluster(folder, options=options, kinds=()) as cluster, controlling(folder, cluster.kubeconfig):
             nodes = node_processes.nodes_of(wanted.nodes, plan_of(folders.name), folders)
-            objects.create(Calls(cluster), nodes)  # type: ignore[arg-type]
-            own, profile = admission.folder(folders), Embedded(folders.name, binaries).chart_profile()
+            first_objects.create(Calls(cluster), nodes)  # type: ignore[arg-type]
+            own, profile = admission_files.folder(folders), Embedded(folders.name, binaries).chart_profile()
             forge = Forge(folder / "forge")
             on_disk = CatalogueOnDisk(lambda: forge.repositories, own / "clones")
-            following = admission.following(folders, CatalogueListing(on_disk, TrustedKeys(own / "keys")))
+            following = admission_files.following(folders, CatalogueListing(on_disk, TrustedKeys(own / "keys")))
             installer = WithoutNodes(binaries, cluster.kubeconfig, folder, profile)
             found = Demo(cluster, folders, installer, wanted, forge, following)
             found.install()

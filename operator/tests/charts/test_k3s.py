@@ -13,7 +13,7 @@ from ci.cluster.existing.mapping import AgentEntry
 from ci.cluster.k3s.nodes import K3sNode
 from ci.cluster.k3s.values import chart_values
 from ci.cluster.through_api_server.ways import values_of_built_images
-from ci.cluster.topology import chart_agents
+from ci.cluster_contract.topology import chart_agents
 from tests.stages.paths import CHARTS
 
 pytestmark = pytest.mark.toolchain

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 import yaml
 
-from ci.cluster.addresses import PLANS
+from ci.cluster.embedded.network.addresses import PLANS
 from gitops.argocd import network as argocd_network
 from robotkube.foundation.kubernetes.core.network_policies import NetworkPeer, NetworkPolicy, may_connect, read_policy
 from tests.stages.paths import CHARTS, REPOSITORY

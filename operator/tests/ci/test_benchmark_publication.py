@@ -12,7 +12,8 @@ import pytest
 from benchmarks import registry
 from benchmarks.publication import Costs, compare, comparison, suite_seconds
 from ci import publish
-from ci.cluster import choosing, cleaning
+from ci.cluster import choosing
+from ci.cluster.embedded import cleaning
 from ci.errors import SetUpError
 from ci.installation import Installer
 from ci.steps import Steps

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from ci.cluster.provider import ChartProfile
+from ci.cluster_contract.provider import ChartProfile
 from ci.installation import Installer, chosen_volumes, stated_networks
 from scenarios import demo
 

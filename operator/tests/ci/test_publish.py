@@ -12,8 +12,8 @@ import pygit2
 import pytest
 
 from ci import evidence, publish
-from ci.cluster.images import Image
 from ci.errors import SetUpError
+from ci.images.image_lock import Image
 from robotkube.registry.catalogue.core.catalogue import FOLDERS, read_catalogue
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.charts.core.packing import build_tag

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ci.cluster import host_processes
+from ci.cluster.embedded.host import followers
 from ci.folders import PROJECT
 
 pytestmark = pytest.mark.processes
@@ -26,4 +26,4 @@ def test_byte_code_is_kept_beside_the_environment_whatever_the_machine_says() ->
 
 def test_processes_of_a_clusters_host_keep_theirs_there(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPYCACHEPREFIX", "/somewhere")
-    assert host_processes.environment()["PYTHONPYCACHEPREFIX"] == "/somewhere"
+    assert followers.environment()["PYTHONPYCACHEPREFIX"] == "/somewhere"

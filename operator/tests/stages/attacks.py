@@ -1,4 +1,4 @@
-"""Refusals of attacks, compared with what ci/attacks.py says of them.
+"""Refusals of attacks, compared with what ci/attacks/table.py says of them.
 
 `shown(place, text, *keys)` in the test that cells name compares their words with `text`, the refusal as it came. A test
 that is named by a cell and passes without having shown it fails, after its last parameter has run.
@@ -11,8 +11,8 @@ from collections.abc import Generator
 
 import pytest
 
-from ci.attack_cells import Refused
-from ci.attacks import attack, refusals
+from ci.attacks.cells import Refused
+from ci.attacks.table import attack, refusals
 
 CURRENT = "PYTEST_CURRENT_TEST"
 _shown: set[tuple[str, str]] = set()
@@ -22,7 +22,7 @@ def words_of(key: str, place: str) -> Refused:
     """The refusal of a cell; KeyError when it says none."""
     cell = attack(key).cell(place)
     if not isinstance(cell, Refused):
-        raise KeyError(f"attack {key}, {place}: no words of a refusal in ci/attacks.py")
+        raise KeyError(f"attack {key}, {place}: no words of a refusal in ci/attacks/table.py")
     return cell
 
 
@@ -30,8 +30,10 @@ def shown(place: str, text: str, *keys: str) -> None:
     """The refusal `text` is what the cells of these attacks say, and this is the test that they name."""
     for key in keys:
         cell = words_of(key, place)
-        assert cell.pattern.search(text), f"{key}, {place}: ci/attacks.py says {cell.words!r}, the refusal {text!r}"
-        assert running() == cell.test, f"{key}, {place}: ci/attacks.py names {cell.test}, and this is {running()}"
+        assert cell.pattern.search(text), (
+            f"{key}, {place}: ci/attacks/table.py says {cell.words!r}, the refusal {text!r}"
+        )
+        assert running() == cell.test, f"{key}, {place}: ci/attacks/table.py names {cell.test}, and this is {running()}"
         _shown.add((key, place))
 
 
@@ -53,7 +55,7 @@ def pytest_runtest_call(item: pytest.Item) -> Generator[None, object, object]:
     name = name_of(item.nodeid)
     missing = [(key, place) for key, place, cell in refusals() if cell.test == name and (key, place) not in _shown]
     if missing and item is _last(item.session, name) and not _chosen(item):
-        pytest.fail(f"ci/attacks.py names this test for {missing}, which it has not shown", pytrace=False)
+        pytest.fail(f"ci/attacks/table.py names this test for {missing}, which it has not shown", pytrace=False)
     return result
 
 

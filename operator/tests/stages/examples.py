@@ -8,8 +8,8 @@ import os
 import pytest
 from hypothesis import HealthCheck, is_hypothesis_test, settings
 
-from ci.test import ALL_EXAMPLES
-from ci.test import EXAMPLES as VARIABLE
+from ci.test.groups import ALL_EXAMPLES
+from ci.test.groups import EXAMPLES as VARIABLE
 
 EXAMPLES = int(os.environ.get(VARIABLE, str(ALL_EXAMPLES)))
 

@@ -7,7 +7,8 @@ import os
 from pathlib import Path
 
 from benchmarks.pods import free_port as free_port
-from ci import preparing, toolchain
+from ci import toolchain
+from ci.machine import preparing
 
 # Of Go: collecting costs a rendering of Helm a fifth, an API server that is told of kinds a third, and what tests start
 # ends before it would be short of memory.

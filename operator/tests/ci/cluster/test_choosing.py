@@ -9,7 +9,7 @@ import pytest
 
 from ci.cluster import choosing
 from ci.cluster.choosing import Choice
-from ci.cluster.embedded import Embedded
+from ci.cluster.embedded.provider import Embedded
 from ci.cluster.existing.nodes import GivenCluster
 from ci.errors import InputError
 

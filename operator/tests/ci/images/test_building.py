@@ -12,12 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from ci import message_types, web
+from ci import web
 from ci.images import machine
 from ci.images.building import NAMES, build_images
 from ci.images.built import BuiltImage
 from ci.images.catalogue import IMAGES, TOP
 from ci.images.services import GROUND, SERVICES
+from ci.reference import message_types
 from robotkube.registry.images.adapters import buildah
 from robotkube.registry.suites.core import image_checks
 from robotkube.robots.ros.core.packaged_types import PACKAGED_IMAGES, PACKAGED_TYPES

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from kubernetes import client
 
-from ci.cluster.provider import ServicePort
+from ci.cluster_contract.provider import ServicePort
 from robotkube.robots.bags.core.playback import read_run
 from scenarios import definition
 from scenarios.runner import acting, driving

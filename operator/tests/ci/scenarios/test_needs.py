@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from ci.cluster.provider import NodeState
+from ci.cluster_contract.provider import NodeState
 from ci.errors import InputError
 from scenarios import definition
 from scenarios.runner import needs, waiting

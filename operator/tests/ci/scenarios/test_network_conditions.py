@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from ci.cluster.emulation.conditions import Measured, NetworkConditions, Traffic
+from ci.cluster_contract.network_conditions import Measured, NetworkConditions, Traffic
 from ci.errors import SetUpError
 from scenarios import definition
 from scenarios.runner import cables, naming, network, page, storage

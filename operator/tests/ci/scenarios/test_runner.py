@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 import yaml
 
-from ci.cluster.disk_volumes import end_of
+from ci.cluster.embedded.disk_volumes import end_of
 from ci.errors import SetUpError
 from scenarios import definition
 from scenarios.runner import (

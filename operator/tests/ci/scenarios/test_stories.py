@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from ci import publish
-from ci.cluster import topology
+from ci.cluster_contract import topology
 from ci.installation import platform_values
 from robotkube.delivery.tasks.core.task_description import read_task
 from scenarios import definition, steps

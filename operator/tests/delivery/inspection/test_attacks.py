@@ -1,5 +1,5 @@
-"""What the nodes' place says of attacks, in the words of the table (ci/attacks.py): each has passed selection, gate and
-admission here, or never met them."""
+"""What the nodes' place says of attacks, in the words of the table (ci/attacks/table.py): each has passed selection,
+gate and admission here, or never met them."""
 
 from __future__ import annotations
 

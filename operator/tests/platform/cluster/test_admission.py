@@ -13,10 +13,12 @@ from typing import Any
 import httpx
 import pytest
 
-from ci.cluster import admission, images, topology
-from ci.cluster.addresses import plan_of
-from ci.cluster.records import ClusterFolders
-from ci.cluster.stranded import stranded_now
+from ci.cluster.embedded.admission import admission_files
+from ci.cluster.embedded.admission.stranded import stranded_now
+from ci.cluster.embedded.host.records import ClusterFolders
+from ci.cluster.embedded.network.addresses import plan_of
+from ci.cluster_contract import topology
+from ci.images import image_lock
 from robotkube.registry.admission.core.domain import account
 from tests.stages.attacks import words_of
 from tests.stages.kubernetes.judged_api_server import ADMINISTRATOR, MERGE, Requests
@@ -162,13 +164,13 @@ def test_nothing_that_runs_would_be_stranded(platform: Platform, running: Runnin
     assert found.stranded == (), found.lines
 
 
-def _lock() -> tuple[images.Image, ...]:
-    return images.read_lock(images.lock_file())
+def _lock() -> tuple[image_lock.Image, ...]:
+    return image_lock.read_lock(image_lock.lock_file())
 
 
 def test_the_host_follows_the_catalogue_and_has_nothing_to_complain(platform: Platform, running: Running) -> None:
     """Its log says once that the forge was not installed yet, and then what it has written."""
-    log = (ClusterFolders(platform.name).log / f"{admission.PROCESS}.log").read_text()
+    log = (ClusterFolders(platform.name).log / f"{admission_files.PROCESS}.log").read_text()
     lines = [line for line in log.splitlines() if "WARNING" in line]
     assert [line for line in lines if "not installed yet" not in line and "no catalogue yet" not in line] == [], log
     assert len([line for line in lines if "not installed yet" in line]) <= 2, log  # no claim yet, then no volume

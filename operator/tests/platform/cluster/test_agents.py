@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 import yaml
 
-from ci.cluster.topology import NodeSpec
+from ci.cluster_contract.topology import NodeSpec
 from ci.installation import NAMESPACE
 from tests.stages.platform.machines import declared, join, leave
 from tests.stages.platform.running_platform import Platform, eventually

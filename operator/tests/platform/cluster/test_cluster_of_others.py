@@ -15,11 +15,12 @@ from typing import Any
 
 import pytest
 
-from ci import bundle, evidence, oras, preparing, publish
-from ci.cluster import topology
-from ci.cluster.provider import ServicePort
+from ci import bundle, evidence, oras, publish
 from ci.cluster.through_api_server.forwards import Forwards
+from ci.cluster_contract import topology
+from ci.cluster_contract.provider import ServicePort
 from ci.folders import PROJECT
+from ci.images import preparation
 from robotkube.cli.main import main
 from robotkube.registry.publication.adapters import submission_folders
 from scenarios import definition
@@ -45,7 +46,7 @@ RETAINED = "persistentvolumes "  # their class retains them, with whose they wer
 
 @pytest.fixture(scope="module")
 def cluster(no_demo: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ClusterOfOthers]:
-    prepared = preparing.everything()
+    prepared = preparation.everything()
     scenario = definition.load(SCENARIO, [], VARIANT)
     nodes = topology.read(SCENARIO / "scenario.yaml", {"vehicles": str(len(scenario.vehicles))})
     with made(NAME, prepared.binaries, nodes, prepared.images, tmp_path_factory.mktemp("others")) as found:
@@ -54,7 +55,7 @@ def cluster(no_demo: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator
 
 
 def _push(cluster: ClusterOfOthers, path: Path) -> None:
-    prepared = preparing.everything()
+    prepared = preparation.everything()
     charts = submission_folders.all_charts(publish.CHARTS)
     submitted = publish.read_all(prepared.references(), evidence.kept_folder(), charts)
     bundle.write(path, prepared.images, submitted, bundle.argocd_manifests(prepared.references()))
@@ -99,7 +100,7 @@ def _what_runs_has_the_digests_of_the_bundle(cluster: ClusterOfOthers) -> None:
     statuses = [pod["status"] for pod in json.loads(asked.stdout)["items"]]
     kinds = ("containerStatuses", "initContainerStatuses")
     runs = {one["imageID"] for status in statuses for kind in kinds for one in status.get(kind, ()) if one["imageID"]}
-    bundled = {image.name: image.reference.partition("@")[2] for image in preparing.everything().images}
+    bundled = {image.name: image.reference.partition("@")[2] for image in preparation.everything().images}
     names = {place.partition("@")[0].rpartition("/")[2] for place in runs}
     assert names >= {"platform", "mosquitto", "gitea", "ferretdb", "argocd", "mqtt-bridge", "event-detector"}, runs
     assert runs == {f"{cluster.place}/{name}@{bundled[name]}" for name in names}

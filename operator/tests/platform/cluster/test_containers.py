@@ -9,10 +9,11 @@ from typing import Any
 
 import pytest
 
-from ci.cluster import images, node_processes
-from ci.cluster.containers import PROCESS
-from ci.cluster.processes import recorded
-from ci.cluster.records import ClusterFolders
+from ci.cluster.embedded.containers.reports import PROCESS
+from ci.cluster.embedded.host.processes import recorded
+from ci.cluster.embedded.host.records import ClusterFolders
+from ci.cluster.embedded.nodes import node_processes
+from ci.images import image_lock
 from tests.stages.kubernetes.lone_node import remove_groups_of_namespaces
 from tests.stages.platform.running_platform import Platform, eventually
 
@@ -64,7 +65,7 @@ def test_what_the_platform_ran_so_far_was_known_on_every_node(platform: Platform
 
 
 def test_what_somebody_starts_beside_a_kubelet_is_named_until_it_ends(platform: Platform, ctr: Ctr) -> None:
-    pause = next(one for one in images.read_lock(images.lock_file()) if one.name == images.SANDBOX)
+    pause = next(one for one in image_lock.read_lock(image_lock.lock_file()) if one.name == image_lock.SANDBOX)
     for namespace in NAMESPACES:
         imported = ("images", "import", "--local", "--digests", "--base-name", pause.repository, str(pause.archive))
         ctr(namespace, *imported)

@@ -18,12 +18,18 @@ import pytest
 import yaml
 
 from ci import toolchain
-from ci.cluster import cgroups, cleaning, images, network, network_policies, outages, processes, topology
-from ci.cluster.addresses import plan_of
-from ci.cluster.embedded import Embedded
-from ci.cluster.node_processes import OWN_PLACES, socket_of
-from ci.cluster.records import ClusterFolders
+from ci.cluster.embedded import cleaning, outages
+from ci.cluster.embedded.host import processes
+from ci.cluster.embedded.host.records import ClusterFolders
+from ci.cluster.embedded.network import host_network
+from ci.cluster.embedded.network.addresses import plan_of
+from ci.cluster.embedded.network_policies import enforcement
+from ci.cluster.embedded.nodes.node_processes import OWN_PLACES, socket_of
+from ci.cluster.embedded.provider import Embedded
+from ci.cluster_contract import topology
 from ci.folders import PROJECT, user_cache
+from ci.images import image_lock
+from ci.machine import cgroups, network_policies
 from tests.stages.platform import probe_image
 from tests.stages.waiting import until
 
@@ -58,13 +64,14 @@ def machine() -> dict[str, Any]:
     kept = [user_cache() / "clusters", user_cache() / "imported", Path("/run/containerd"), Path("/run/netns/cni-")]
     ours = (*map(str, kept), *(str(place) for name, place in OWN_PLACES.items() if name != "run"))
     return {
-        "links": sorted(entry["ifname"] for entry in json.loads(network.run(["ip", "-json", "link", "show"]))),
-        "routes": network.run(["ip", "route", "show"]),
-        "tables": network.run(["nft", "list", "tables"]),
+        "links": sorted(entry["ifname"] for entry in json.loads(host_network.run(["ip", "-json", "link", "show"]))),
+        "routes": host_network.run(["ip", "route", "show"]),
+        "tables": host_network.run(["nft", "list", "tables"]),
         "mounts": sorted(place for place in mounts if place.startswith(ours)),
         "groups": sorted(str(path) for path in Path("/sys/fs/cgroup").glob("**/robotkube-*")),
         "sysctls": {
-            name: Path("/proc/sys", name.replace(".", "/")).read_text() for name in network.AT_LEAST | network.EXACTLY
+            name: Path("/proc/sys", name.replace(".", "/")).read_text()
+            for name in host_network.AT_LEAST | host_network.EXACTLY
         },
         "folders": [str(place) for place in OWN_PLACES.values() if place.exists()],
         "processes": sorted(processes.strays("test") | processes.strays("demo")),
@@ -108,7 +115,7 @@ def enforced() -> Iterator[None]:
 def cluster(before: dict[str, Any], lock: Path, scenario: Path) -> Iterator[Embedded]:
     assert before["processes"] == []
     running = Embedded(NAME, toolchain.ensure().binaries)
-    running.up(topology.read(scenario), images.read_lock(lock))
+    running.up(topology.read(scenario), image_lock.read_lock(lock))
     yield running
     running.down()
 
@@ -133,7 +140,7 @@ def pod(name: str, agent: str, reference: str, *arguments: str, claim: str = "")
 def probes(cluster: Embedded, lock: Path) -> Kubectl:
     """A server with a volume on cloud-0 behind the Service `web`, and a client on vehicle-00, both Ready."""
     kubectl = Kubectl(cluster)
-    reference = next(image.reference for image in images.read_lock(lock) if image.name == "probe")
+    reference = next(image.reference for image in image_lock.read_lock(lock) if image.name == "probe")
     label = {"pod-security.kubernetes.io/enforce": "restricted"}
     claim = {"accessModes": ["ReadWriteOnce"], "resources": {"requests": {"storage": "20Gi"}}}
     service = {"selector": {"app": "web"}, "ports": [{"port": 80, "targetPort": 8080}]}
@@ -220,7 +227,7 @@ def test_network_policies_are_enforced(cluster: Embedded, probes: Kubectl) -> No
     until(lambda: "deadline exceeded" in client(probes, "http://web.probe/", code=None), "the policy is at work")
     url = f"http://{address}:8080/"
     assert not reads(url)
-    holder = network_policies.holders(ClusterFolders(NAME))["cloud-0"]
+    holder = enforcement.holders(ClusterFolders(NAME))["cloud-0"]
     assert reads(url, "nsenter", f"--net=/proc/{holder.pid}/ns/net")
     clients = [{"podSelector": {"matchLabels": {"app": "client"}}}]
     probes("apply", "-f", "-", given={**kinds, "spec": {**spec, "ingress": [{"from": clients}]}})
@@ -239,7 +246,7 @@ def reads(url: str, *through: str) -> bool:
 
 def test_the_process_that_follows_policies_is_started_again(probes: Kubectl) -> None:
     """Without it new pods would stay cut off."""
-    [guard] = [one for one in processes.recorded(ClusterFolders(NAME)) if one.name == network_policies.PROCESS]
+    [guard] = [one for one in processes.recorded(ClusterFolders(NAME)) if one.name == enforcement.PROCESS]
     children = Path(f"/proc/{guard.pid}/task/{guard.pid}/children")
     [follower] = map(int, children.read_text(encoding="ascii").split())
     os.kill(follower, signal.SIGKILL)
@@ -266,7 +273,7 @@ def test_a_claim_is_a_folder_that_the_pods_group_may_write(cluster: Embedded, pr
 
 
 def test_every_node_has_every_image_under_its_digest(cluster: Embedded, lock: Path) -> None:
-    expected = {image.reference for image in images.read_lock(lock)}
+    expected = {image.reference for image in image_lock.read_lock(lock)}
     holders = [process for process in processes.recorded(ClusterFolders(NAME)) if process.name.endswith(".node")]
     assert len(holders) == len(NODES)
     for holder in holders:
@@ -279,7 +286,7 @@ def test_every_node_has_every_image_under_its_digest(cluster: Embedded, lock: Pa
 
 def test_up_again_uses_the_running_cluster(cluster: Embedded, lock: Path, scenario: Path) -> None:
     record = [process.pid for process in processes.recorded(ClusterFolders(NAME))]
-    cluster.up(topology.read(scenario), images.read_lock(lock))
+    cluster.up(topology.read(scenario), image_lock.read_lock(lock))
     assert [process.pid for process in processes.recorded(ClusterFolders(NAME))] == record
 
 

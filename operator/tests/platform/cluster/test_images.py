@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import subprocess
 
-from ci import preparing, publish
-from ci.cluster import processes
-from ci.cluster.node_processes import socket_of
-from ci.cluster.records import ClusterFolders
+from ci import publish
+from ci.cluster.embedded.host import processes
+from ci.cluster.embedded.host.records import ClusterFolders
+from ci.cluster.embedded.nodes.node_processes import socket_of
+from ci.images import preparation
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from tests.stages.platform.running_platform import Platform
 
 
 def test_every_node_has_the_digests_of_the_lock(platform: Platform) -> None:
-    expected = {image.reference: image.reference.partition("@")[2] for image in preparing.everything().images}
+    expected = {image.reference: image.reference.partition("@")[2] for image in preparation.everything().images}
     found = processes.recorded(ClusterFolders(platform.name))
     holders = [process for process in found if process.name.endswith(".node")]
     assert len(holders) == len(platform.provider.nodes())
@@ -27,13 +28,13 @@ def test_every_node_has_the_digests_of_the_lock(platform: Platform) -> None:
 def test_the_registry_serves_the_same_digests(platform: Platform) -> None:
     forge = publish.find_forge(platform.installer.kubeconfig)
     with OciRegistry(forge.url, publish.ACCOUNT, forge.password) as registry:
-        for image in preparing.everything().images:
+        for image in preparation.everything().images:
             repository, digest = image.repository.partition("/")[2], image.reference.partition("@")[2]
             assert registry.manifest_digest(repository, digest) == digest
 
 
 def test_pods_run_what_the_charts_name_by_digest(platform: Platform) -> None:
-    references = {image.reference for image in preparing.everything().images}
+    references = {image.reference for image in preparation.everything().images}
     digests = {reference.partition("@")[2] for reference in references}
     for namespace in ("robotkube", "robotkube-gate", "argocd"):
         for pod in platform.get("-n", namespace, "pods")["items"]:

@@ -14,9 +14,11 @@ from typing import Any
 
 import pytest
 
-from ci.cluster import images, node_processes, outages
-from ci.cluster.processes import Process, recorded
-from ci.cluster.records import ClusterFolders
+from ci.cluster.embedded import outages
+from ci.cluster.embedded.host.processes import Process, recorded
+from ci.cluster.embedded.host.records import ClusterFolders
+from ci.cluster.embedded.nodes import node_processes
+from ci.images import image_lock
 from robotkube.registry.admission.core.domain import account
 from tests.stages import http_calls
 from tests.stages.platform.running_platform import Platform, eventually
@@ -97,7 +99,7 @@ def _processes(platform: Platform, what: str) -> list[Process]:
 
 @pytest.mark.thorough
 def test_a_static_pod_is_named(platform: Platform, tmp_path: Path) -> None:
-    pause = next(one for one in images.read_lock(images.lock_file()) if one.name == images.SANDBOX)
+    pause = next(one for one in image_lock.read_lock(image_lock.lock_file()) if one.name == image_lock.SANDBOX)
     manifest = {
         "apiVersion": "v1",
         "kind": "Pod",

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from ci.cluster import cleaning
-from ci.cluster.embedded import Embedded
+from ci.cluster.embedded import cleaning
+from ci.cluster.embedded.provider import Embedded
 from ci.folders import PROJECT
 from tests.stages.platform.running_platform import NAME, SCENARIO
 

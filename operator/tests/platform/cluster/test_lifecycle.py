@@ -17,10 +17,11 @@ from typing import Any
 
 import pytest
 
-from ci import preparing, publish
-from ci.cluster import topology
+from ci import publish
 from ci.cluster.choosing import Choice
-from ci.cluster.embedded import Embedded
+from ci.cluster.embedded.provider import Embedded
+from ci.cluster_contract import topology
+from ci.images import preparation
 from ci.images.services import SERVICE_NAMES
 from ci.installation import KEY_SECRET, NAMESPACE
 from ci.steps import Steps
@@ -52,7 +53,7 @@ class Aged:
     def install(self) -> None:
         """`helm upgrade --install` of the present chart, and everything published."""
         wanted = topology.read(SCENARIO / "scenario.yaml", {"vehicles": str(len(self.platform.scenario.vehicles))})
-        self.platform.installer.platform(preparing.everything().references(), wanted)
+        self.platform.installer.platform(preparation.everything().references(), wanted)
         publish.publish(self.platform.installer.kubeconfig)
 
     def holds(self) -> dict[str, Any]:
@@ -125,7 +126,7 @@ def aged(pytestconfig: pytest.Config, no_demo: None, tmp_path_factory: pytest.Te
     with spoken(pytestconfig):
         Embedded(NAME, Path()).down()
         installer = demo.bring_up(demo.Request(SCENARIO, settings, Choice(NAME), "cluster"), Steps(STEPS))
-        references = preparing.everything().references()
+        references = preparation.everything().references()
         installer.argocd(references)
         wanted = topology.read(SCENARIO / "scenario.yaml", settings)
         older = older_chart(tmp_path_factory.mktemp("older"))

@@ -12,10 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from ci.cluster import network_policies
-from ci.cluster.following_network_policies import NAMESPACES, POLICIES, known_pod
-from ci.cluster.network_policies import OFF
-from ci.cluster.pod_links import RESULTS, read_link
+from ci.cluster.embedded.network.pod_links import RESULTS, read_link
+from ci.cluster.embedded.network_policies import enforcement
+from ci.cluster.embedded.network_policies.following import NAMESPACES, POLICIES, known_pod
+from ci.machine import network_policies
+from ci.machine.network_policies import OFF
 from robotkube.foundation.kubernetes.core.network_policies import NetworkPeer, NetworkPolicy, may_connect, read_policy
 from tests.stages.network.namespaces import reached
 from tests.stages.platform.running_platform import Platform, eventually
@@ -46,7 +47,7 @@ def attached(platform: Platform) -> dict[str, Attached]:
     labels = {one["metadata"]["name"]: one["metadata"].get("labels") or {} for one in api.get(NAMESPACES)["items"]}
     pods = dict(known_pod(one) for one in api.get("/api/v1/pods")["items"])
     found: dict[str, Attached] = {}
-    for node, holder in network_policies.holders(folders).items():
+    for node, holder in enforcement.holders(folders).items():
         for path in (folders.node(node) / "cni-state" / RESULTS).glob("*"):  # no folder before a node's first pod
             document = json.loads(path.read_text(encoding="utf-8"))
             link = read_link(document)

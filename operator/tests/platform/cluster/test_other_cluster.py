@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from ci.cluster import admission
 from ci.cluster.choosing import Choice
-from ci.cluster.embedded import Embedded
+from ci.cluster.embedded.admission import admission_files
+from ci.cluster.embedded.provider import Embedded
 from ci.errors import SetUpError
 from ci.steps import Steps
 from robotkube.registry.admission.core.policies import API_POLICIES, LIST
@@ -40,7 +40,7 @@ def platform(
     Embedded(NAME, Path()).down()
     kept = tmp_path_factory.mktemp("evidence")  # another key's would be refused
     with pytest.MonkeyPatch.context() as patch, spoken(pytestconfig):
-        patch.setenv(admission.VARIABLE, admission.OFF)
+        patch.setenv(admission_files.VARIABLE, admission_files.OFF)
         request = demo.Request(SCENARIO, settings, Choice(NAME), "platform", kept, values=VALUES)
         installer = demo.bring_up(request, Steps(STEPS))
         found = Platform(installer, Embedded(NAME, installer.binaries), Access(installer.kubeconfig), scenario)

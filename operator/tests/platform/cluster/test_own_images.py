@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from ci import preparing
 from ci.folders import PROJECT
+from ci.images import preparation
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.publication.adapters.submission_folders import read_images
 from robotkube.registry.suites.core.image_checks import read_reference
@@ -91,7 +91,7 @@ def test_an_image_that_is_in_no_archive_runs(platform: Platform, tmp_path: Path)
     parts = read_reference(reference)
     assert parts is not None
     assert parts.repository == f"own-images/{NAME}"
-    assert reference not in {image.reference for image in preparing.everything().images}
+    assert reference not in {image.reference for image in preparation.everything().images}
     robotkube(platform, tmp_path, "registry", "submit", NAME, "--application", NAME)
     with OciRegistry(platform.forge_url(), "nodes", platform.password("nodes")) as registry:
         assert registry.manifest_digest(parts.repository, parts.digest) == parts.digest

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from ci.cluster import admission
 from ci.cluster.choosing import Choice
-from ci.cluster.embedded import Embedded
+from ci.cluster.embedded.admission import admission_files
+from ci.cluster.embedded.provider import Embedded
 from ci.steps import Steps
 from scenarios import definition, demo
 from scenarios.runner.access import Access
@@ -45,7 +45,7 @@ def platform(
     settings = {"vehicles": str(len(scenario.vehicles))}
     Embedded(NAME, Path()).down()
     with pytest.MonkeyPatch.context() as patch, spoken(pytestconfig):
-        patch.setenv(admission.VARIABLE, admission.OFF)
+        patch.setenv(admission_files.VARIABLE, admission_files.OFF)
         installer = demo.bring_up(demo.Request(SCENARIO, settings, Choice(NAME), "platform"), Steps(STEPS))
         found = Platform(installer, Embedded(NAME, installer.binaries), Access(installer.kubeconfig), scenario)
     eventually("all Applications synced and healthy", found.settled)

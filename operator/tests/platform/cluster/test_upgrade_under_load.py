@@ -17,10 +17,11 @@ from typing import Any
 import pytest
 import yaml
 
-from ci import preparing, publish
-from ci.cluster import topology
+from ci import publish
 from ci.cluster.choosing import Choice
-from ci.cluster.embedded import Embedded
+from ci.cluster.embedded.provider import Embedded
+from ci.cluster_contract import topology
+from ci.images import preparation
 from ci.installation import ARGOCD, CHART, GATE, INSTALL_TIMEOUT_SECONDS, NAMESPACE, NO_VALUES
 from ci.steps import Steps
 from scenarios import definition, demo
@@ -123,7 +124,7 @@ def recorder_runs(platform: Platform) -> bool:
 def install(platform: Platform, chart: Path, values: Mapping[str, Any] = NO_VALUES) -> None:
     """`helm upgrade --install` of a chart with the images of today; returns when everything is rolled out."""
     wanted = topology.read(SCENARIO / "scenario.yaml", {"vehicles": str(len(platform.scenario.vehicles))})
-    platform.installer.platform(preparing.everything().references(), wanted, chart, values)
+    platform.installer.platform(preparation.everything().references(), wanted, chart, values)
 
 
 def go_back(platform: Platform) -> None:
@@ -151,7 +152,7 @@ def bare(pytestconfig: pytest.Config, no_demo: None) -> Iterator[Platform]:
     with spoken(pytestconfig):
         Embedded(NAME, Path()).down()
         installer = demo.bring_up(demo.Request(SCENARIO, settings, Choice(NAME), "cluster"), Steps(STEPS))
-        installer.argocd(preparing.everything().references())
+        installer.argocd(preparation.everything().references())
     platform = Platform(installer, Embedded(NAME, installer.binaries), Access(installer.kubeconfig), scenario)
     yield platform
     platform.access.disconnect()

@@ -15,8 +15,8 @@ import yaml
 from kubernetes import client, config
 
 from ci import publish
-from ci.cluster import network_policies
 from ci.folders import PROJECT
+from ci.machine import network_policies
 from robotkube.registry.charts.adapters.chart_folders import pack
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.evidence.core.statements import Artefact, SuiteResult

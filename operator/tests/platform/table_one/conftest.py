@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from ci.principles import RESULTS
+from ci.reference.principles import RESULTS
 from tests.stages.platform import roadside_perception, three_operators
 from tests.stages.platform.roadside_perception import RoadsidePerception
 from tests.stages.platform.running_platform import Platform

@@ -21,7 +21,7 @@ from contextlib import contextmanager
 from itertools import takewhile
 
 from ci import publish
-from ci.cluster.images import lock_file, read_lock
+from ci.images.image_lock import lock_file, read_lock
 from scenarios.runner import proposing
 from tests.stages.platform.running_platform import eventually
 from tests.stages.platform.table_one import BRIDGE, Stage

@@ -9,10 +9,11 @@ from typing import Any
 
 import pytest
 
-from ci.cluster import objects, topology
-from ci.cluster.addresses import plan_of
-from ci.cluster.node_processes import Node, nodes_of
-from ci.cluster.records import ClusterFolders
+from ci.cluster.embedded import first_objects
+from ci.cluster.embedded.host.records import ClusterFolders
+from ci.cluster.embedded.network.addresses import plan_of
+from ci.cluster.embedded.nodes.node_processes import Node, nodes_of
+from ci.cluster_contract import topology
 from ci.folders import PROJECT
 from ci.installation import chosen_volumes
 from robotkube.registry.admission.core.domain import Domain, account
@@ -43,7 +44,7 @@ def nodes() -> tuple[Node, ...]:
 
 def volume(path: str = f"{FOLDER}/vehicle-00/0", name: str = "other", **spec: Any) -> dict[str, Any]:
     """One as the provider makes it, with another place and other parts."""
-    made = objects.persistent_volume(nodes()[-1], name, Path("/"))
+    made = first_objects.persistent_volume(nodes()[-1], name, Path("/"))
     made["spec"].update({"local": {"path": path}, **spec})
     return made
 
@@ -58,13 +59,13 @@ def applied(api: Api, name: str, document: dict[str, Any], manager: str) -> None
 def test_what_the_provider_makes_is_let_in_bound_and_given_back(api: Api) -> None:
     """As a start, a node that joins, the installer and the controller manager write it."""
     for node in nodes():
-        for name, folder in objects.volumes(node):
-            applied(api, name, objects.persistent_volume(node, name, folder), "robotkube-cluster")
-    last = objects.volumes(nodes()[-1])[0][0]
+        for name, folder in first_objects.volumes(node):
+            applied(api, name, first_objects.persistent_volume(node, name, folder), "robotkube-cluster")
+    last = first_objects.volumes(nodes()[-1])[0][0]
     agent = api.done("GET", f"{VOLUMES}/{last}")["metadata"]["labels"]["robotkube.io/agent"]
     labels = {"robotkube.io/agent": agent}
     claim = {"metadata": {"name": "a", "namespace": "b", "labels": labels}, "status": {"phase": "Pending"}}
-    for name, _ in objects.volumes(nodes()[-1]):
+    for name, _ in first_objects.volumes(nodes()[-1]):
         api.done("PATCH", f"{VOLUMES}/{name}/status", {"status": {"phase": "Available"}}, BINDER, MERGE)
     [bound] = chosen_volumes([claim], api.done("GET", VOLUMES)["items"])
     name = bound["metadata"]["name"]

@@ -16,7 +16,8 @@ import pytest
 import yaml
 
 from ci import bundle as making
-from ci import distribution, evidence, oras, preparing, publish
+from ci import distribution, evidence, oras, publish
+from ci.images import preparation
 from robotkube.cli.main import main
 from robotkube.registry.bundles.adapters.layouts import Bundle, read_bundle
 from robotkube.registry.bundles.core.contents import IMAGE
@@ -37,7 +38,7 @@ UPLOAD = "http.request.method=POST"  # in the registry's log: a blob is about to
 def bundle(tmp_path_factory: pytest.TempPathFactory) -> Bundle:
     """The platform's own, of everything that is built, with the evidence that is kept here."""
     path = tmp_path_factory.mktemp("bundle") / "robotkube.tar"
-    prepared = preparing.everything()
+    prepared = preparation.everything()
     charts = submission_folders.all_charts(publish.CHARTS)
     submitted = publish.read_all(prepared.references(), evidence.kept_folder(), charts)
     making.write(path, prepared.images, submitted, making.argocd_manifests(prepared.references()))
@@ -76,7 +77,7 @@ def test_every_digest_is_the_same(bundle: Bundle, pushed: str, client: OciRegist
         assert attached == {one.digest for one in item.attached}, item
     assert client.manifest_digest(f"{PATH}/bundle", bundle.contents.version) == bundle.digest
     names = {item.name for item in bundle.contents.of(IMAGE)}
-    assert {image.name for image in preparing.everything().images} == names
+    assert {image.name for image in preparation.everything().images} == names
 
 
 def test_every_blob_has_its_bytes(bundle: Bundle, pushed: str, client: OciRegistry) -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from ci import preparing
-from ci.cluster import containerd
+from ci.cluster.embedded.nodes import containerd
+from ci.images import preparation
 from robotkube.cli.main import main
 from robotkube.registry.bundles.adapters.layouts import Bundle, read_bundle
 from robotkube.registry.bundles.adapters.making import BundleMaker
@@ -28,7 +28,7 @@ END_SECONDS_MAX = 30
 def bundle(tmp_path_factory: pytest.TempPathFactory) -> Bundle:
     path = tmp_path_factory.mktemp("bundle") / "robotkube.tar"
     maker = BundleMaker(VERSION, PREFIX)
-    for image in preparing.everything().images:
+    for image in preparation.everything().images:
         if image.name in NAMES:
             maker.add_image(image.name, image.archive, image.archive.with_name(bills.FILE), image.ground)
     maker.write(path)

@@ -9,7 +9,7 @@ import jsonschema
 import pytest
 import yaml
 
-from ci import chart_reference
+from ci.reference import charts
 from robotkube.errors import DocumentError
 from robotkube.robots.detector.core.settings import read_detector_settings
 from robotkube.robots.detector.core.settings_schema import detector_schema
@@ -134,5 +134,5 @@ def test_wrong_settings_of_the_process_are_refused_by_both(wrong: dict[str, Any]
 
 
 def test_the_chart_has_the_schema_of_the_code() -> None:
-    text = chart_reference.SCHEMA.read_text(encoding="utf-8")
-    assert json.loads(text) == json.loads(chart_reference.schema_text(text)), "run: make reference"
+    text = charts.SCHEMA.read_text(encoding="utf-8")
+    assert json.loads(text) == json.loads(charts.schema_text(text)), "run: make reference"

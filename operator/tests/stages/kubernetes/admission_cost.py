@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from ci.cluster.control_plane import SELDOM_COLLECTING
+from ci.cluster.embedded.control_plane.programs import SELDOM_COLLECTING
 from robotkube.registry.admission.adapters.policy_files import PolicyFiles
 from robotkube.registry.admission.core.allowed import Allowed
 from robotkube.registry.admission.core.policies import for_files

@@ -16,12 +16,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ci.cluster import cgroups, images, node_processes, processes, runc_records
-from ci.cluster.addresses import plan_of
-from ci.cluster.node_processes import ALONE, OWN_PLACES, Node
-from ci.cluster.processes import Launcher, Process
-from ci.cluster.records import ClusterFolders
-from ci.cluster.topology import NodeSpec
+from ci.cluster.embedded.host import processes, runc_records
+from ci.cluster.embedded.host.processes import Launcher, Process
+from ci.cluster.embedded.host.records import ClusterFolders
+from ci.cluster.embedded.network.addresses import plan_of
+from ci.cluster.embedded.nodes import image_imports, node_processes
+from ci.cluster.embedded.nodes.node_processes import ALONE, OWN_PLACES, Node
+from ci.cluster_contract.topology import NodeSpec
+from ci.images import image_lock
+from ci.machine import cgroups
 from tests.stages.programs import folder as programs
 from tests.stages.waiting import until
 
@@ -46,7 +49,7 @@ class LoneNode:
     node: Node
     launcher: Launcher
     holder: Process
-    lock: tuple[images.Image, ...]
+    lock: tuple[image_lock.Image, ...]
 
     @property
     def folders(self) -> ClusterFolders:
@@ -98,7 +101,7 @@ def lone_node(lock: Path) -> Iterator[LoneNode]:
     """A node with its containerd and these images, without a kubelet; everything of it ends with the context."""
     with tempfile.TemporaryDirectory(prefix="rk-") as cache, _cache(cache):
         try:
-            yield _started(ClusterFolders(CLUSTER), images.read_lock(lock))
+            yield _started(ClusterFolders(CLUSTER), image_lock.read_lock(lock))
         finally:
             assert not processes.kill_all(CLUSTER)
             _remove_groups()
@@ -129,16 +132,16 @@ def _cache(folder: str) -> Iterator[None]:
         os.environ |= {} if before is None else {"XDG_CACHE_HOME": before}
 
 
-def _started(folders: ClusterFolders, lock: tuple[images.Image, ...]) -> LoneNode:
+def _started(folders: ClusterFolders, lock: tuple[image_lock.Image, ...]) -> LoneNode:
     spec = NodeSpec(NAME, "vehicle", NAME, 500, 256 * MIB, ())
     node = Node(0, spec, plan_of("test"), folders)
     launcher = Launcher(folders, programs())
     found = LoneNode(node, launcher, _held(node, launcher), lock)
-    runtime = node_processes.start_containerd(node, launcher, found.holder, images.sandbox_of(lock))
+    runtime = node_processes.start_containerd(node, launcher, found.holder, image_lock.sandbox_of(lock))
     socket = node_processes.socket_of(found.holder)
-    processes.wait_until(lambda: images.serving(socket, programs()), "containerd", 30, [runtime])
+    processes.wait_until(lambda: image_imports.serving(socket, programs()), "containerd", 30, [runtime])
     for image in lock:
-        images.import_one(image, socket, programs())
+        image_imports.import_one(image, socket, programs())
     return found
 
 

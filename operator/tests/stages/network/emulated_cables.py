@@ -12,14 +12,15 @@ from ipaddress import IPv4Network
 from pathlib import Path
 from typing import TypeVar
 
-from ci.cluster import cgroups, network
-from ci.cluster.addresses import AddressPlan
-from ci.cluster.emulation.emulating import NetworkEmulation
-from ci.cluster.emulation.probing import Ends
-from ci.cluster.namespaces import inside
-from ci.cluster.processes import Launcher, Process, start_ticks
-from ci.cluster.provider import NodeState
-from ci.cluster.records import ClusterFolders
+from ci.cluster.embedded.emulation.emulating import NetworkEmulation
+from ci.cluster.embedded.emulation.probing import Ends
+from ci.cluster.embedded.host.processes import Launcher, Process, start_ticks
+from ci.cluster.embedded.host.records import ClusterFolders
+from ci.cluster.embedded.network import host_network
+from ci.cluster.embedded.network.addresses import AddressPlan
+from ci.cluster.embedded.network.namespaces import inside
+from ci.cluster_contract.provider import NodeState
+from ci.machine import cgroups
 from tests.stages.waiting import until
 
 NODES = ("platform-0", "vehicle-00")
@@ -52,7 +53,7 @@ class EmulatedCables:
         for node, pid in zip(NODES, pids, strict=True):
             record = asdict(Process(f"{node}.node", pid, start_ticks(pid) or 0, ("sleep",), ""))
             (self.folders.processes / f"{node}.node.json").write_text(json.dumps(record))
-        self.on_host(lambda: (network.create_bridge(self.plan), network.connect(self.plan, pids)))
+        self.on_host(lambda: (host_network.create_bridge(self.plan), host_network.connect(self.plan, pids)))
         states = [NodeState(n, n[:-2], n, str(self.plan.node(i)), True) for i, n in enumerate(NODES)]
         return NetworkEmulation(self.plan, Launcher(self.folders, Path()), lambda: states)
 
@@ -73,7 +74,7 @@ class EmulatedCables:
 
     def said(self, place: str, *command: str) -> str:
         """What a command says in the network namespace of a place."""
-        return network.run(["nsenter", f"--net={self.namespace(place)}", *command])
+        return host_network.run(["nsenter", f"--net={self.namespace(place)}", *command])
 
     @property
     def ends(self) -> Ends:

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 
-from ci.cluster.namespaces import inside
+from ci.cluster.embedded.network.namespaces import inside
 
 LOOK_SECONDS = 0.2
 REFUSED = (0, errno.ECONNREFUSED)  # somebody is there, and the packet came to him

@@ -7,7 +7,7 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from ci.cluster.network_rules import AttachedPod, Rulebook
+from ci.cluster.embedded.network_policies.nftables_rules import AttachedPod, Rulebook
 from robotkube.foundation.kubernetes.core.network_policies import NetworkPeer, NetworkPolicy, read_policy
 from tests.stages.network.nft_meaning import Network, PlacedPod, read
 

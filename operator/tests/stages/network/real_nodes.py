@@ -14,11 +14,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
-from ci.cluster import network_policies
-from ci.cluster.namespaces import inside
-from ci.cluster.network import run, run_inside
-from ci.cluster.network_rules import AttachedPod, Rulebook
-from ci.cluster.processes import Process, start_ticks
+from ci.cluster.embedded.host.processes import Process, start_ticks
+from ci.cluster.embedded.network.host_network import run, run_inside
+from ci.cluster.embedded.network.namespaces import inside
+from ci.cluster.embedded.network_policies import enforcement
+from ci.cluster.embedded.network_policies.nftables_rules import AttachedPod, Rulebook
 from robotkube.foundation.kubernetes.core.network_policies import NetworkPolicy
 from tests.stages.network.nft_meaning import PlacedPod
 from tests.stages.waiting import until
@@ -87,7 +87,7 @@ class RealNodes:
     def holder(self, node: str) -> Process:
         """The process that holds a node, as a cluster records it."""
         pid = self.pid(node)
-        return Process(f"{node}{network_policies.NODE}", pid, start_ticks(pid) or 0, ("sleep",), "")
+        return Process(f"{node}{enforcement.NODE}", pid, start_ticks(pid) or 0, ("sleep",), "")
 
     def attach(self, pod: PlacedPod) -> None:
         """Connect one more pod to its node, as the plug-in `bridge` does."""
@@ -127,7 +127,7 @@ class RealNodes:
         book = Rulebook(policies, [pod.peer for pod in known])
         for node in self.nodes:
             attached = [AttachedPod(pod.port, pod.peer) for pod in known if pod.node == node]
-            network_policies.apply(self.holder(node), book.node(attached))
+            enforcement.apply(self.holder(node), book.node(attached))
 
     def drops(self) -> Mapping[str, int]:
         """How many packets were dropped, by the words beside the rule."""

@@ -7,7 +7,7 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from ci.cluster.pod_links import PodLink
+from ci.cluster.embedded.network.pod_links import PodLink
 
 
 def result(link: PodLink) -> dict[str, Any]:

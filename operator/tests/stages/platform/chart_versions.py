@@ -8,8 +8,8 @@ import subprocess
 from pathlib import Path
 
 from ci import publish
-from ci.cluster.images import lock_file, read_lock
 from ci.folders import PROJECT
+from ci.images.image_lock import lock_file, read_lock
 from robotkube.cli.registry.submit import submit_sources
 from robotkube.registry.publication.adapters.submission_folders import read_sources
 from robotkube.registry.publication.loops.submitting import SubmissionOutcome

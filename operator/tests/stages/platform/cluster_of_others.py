@@ -13,10 +13,12 @@ import pytest
 import yaml
 
 from ci import distribution
-from ci.cluster import admission, network_policies, pulling
-from ci.cluster.embedded import Embedded
-from ci.cluster.images import SANDBOX, Image
-from ci.cluster.topology import Topology
+from ci.cluster.embedded.admission import admission_files
+from ci.cluster.embedded.nodes import pulling
+from ci.cluster.embedded.provider import Embedded
+from ci.cluster_contract.topology import Topology
+from ci.images.image_lock import SANDBOX, Image
+from ci.machine import network_policies
 from tests.stages.registry.distribution import open_to_all
 
 BUILT_AS = pulling.REGISTRY
@@ -47,7 +49,7 @@ def made(
     one's; it is removed afterwards."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(network_policies.VARIABLE, network_policies.OFF)
-        provider = Embedded(name, binaries, admission.OFF)
+        provider = Embedded(name, binaries, admission_files.OFF)
     machines = tuple(replace(one, name=f"machine-{number}") for number, one in enumerate(topology.nodes))
     provider.down()
     try:

@@ -10,8 +10,8 @@ from typing import Any
 
 import yaml
 
-from ci.cluster import images
-from ci.cluster.topology import NodeSpec
+from ci.cluster_contract.topology import NodeSpec
+from ci.images import image_lock
 from ci.installation import CHART, INSTALL_TIMEOUT_SECONDS, NAMESPACE
 from tests.stages.platform.running_platform import Platform
 
@@ -45,7 +45,7 @@ def declared(platform: Platform, agents: list[Mapping[str, Any]], folder: Path) 
 
 def join(platform: Platform, machine: NodeSpec) -> None:
     """A machine joins, as its owner switches it on."""
-    platform.provider.join(machine, images.read_lock(images.lock_file()))
+    platform.provider.join(machine, image_lock.read_lock(image_lock.lock_file()))
 
 
 def leave(platform: Platform, node: str) -> None:

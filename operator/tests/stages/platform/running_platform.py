@@ -16,10 +16,10 @@ from typing import Any
 import httpx
 import pytest
 
-from ci.cluster import cleaning
-from ci.cluster.addresses import plan_of
 from ci.cluster.choosing import Choice
-from ci.cluster.embedded import Embedded
+from ci.cluster.embedded import cleaning
+from ci.cluster.embedded.network.addresses import plan_of
+from ci.cluster.embedded.provider import Embedded
 from ci.errors import SetUpError
 from ci.folders import PROJECT
 from ci.installation import Installer

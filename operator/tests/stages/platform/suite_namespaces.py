@@ -11,7 +11,7 @@ from typing import Any
 import yaml
 
 from ci import publish
-from ci.cluster.images import lock_file, read_lock
+from ci.images.image_lock import lock_file, read_lock
 from robotkube.registry.charts.adapters.chart_folders import pack
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.evidence.core.statements import Artefact, SuiteResult

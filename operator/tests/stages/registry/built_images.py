@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ci.cluster.images import Image
 from ci.images.built import ARCHIVE, REPOSITORY
+from ci.images.image_lock import Image
 from robotkube.registry.images.adapters import bills
 from tests.stages.registry.made_archives import write_archive
 

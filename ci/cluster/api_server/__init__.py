@@ -1,0 +1,1 @@
+"""A cluster, read and written by its API server."""

@@ -1,0 +1,1 @@
+"""Admission from files on the host, which follow the catalogue."""

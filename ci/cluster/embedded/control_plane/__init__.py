@@ -1,0 +1,1 @@
+"""The control plane: its programs, certificates and kubeconfigs."""

@@ -1,0 +1,1 @@
+"""Bridge, cables and addresses of a cluster, of its nodes and pods."""

@@ -1,0 +1,1 @@
+"""NetworkPolicies as rules of nftables in each node's network namespace."""

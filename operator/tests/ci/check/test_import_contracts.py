@@ -1,0 +1,66 @@
+"""Every import contract of operator/pyproject.toml is broken once, in a copy of the sources, and said to be."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+
+import pytest
+
+from tests.stages.paths import REPOSITORY
+
+LINT = "import sys; from importlinter.cli import lint_imports_command as lint; sys.argv[1:] = ['--no-cache']; lint()"
+VIOLATIONS = {  # what a contract's name begins with -> file below operator/src or the repository, import that breaks it
+    "Floors": ("robotkube/foundation/documents/core/times.py", "import robotkube.delivery.gate.core.verdict_comments"),
+    "Subjects form no circle": (
+        "robotkube/registry/charts/core/packing.py",
+        "import robotkube.registry.suites.core.requests",
+    ),
+    "Inside a subject": (
+        "robotkube/delivery/gate/loops/gate.py",
+        "import robotkube.delivery.gate.adapters.merge_journal",
+    ),
+    "A core is pure": ("robotkube/robots/rules/core/conditions/levels.py", "import time"),
+    "Ports and loops": ("robotkube/delivery/manager/loops/planner.py", "import kubernetes"),
+    "ROS is known": ("robotkube/robots/bridge/loops/bridge.py", "import rclpy"),
+    "Nothing that runs": ("robotkube/delivery/manager/loops/planner.py", "import robotkube.testing.clusters"),
+    "Benchmarks know": ("ci/errors.py", "import scenarios.definition"),
+}
+
+
+def contracts() -> list[str]:
+    document = tomllib.loads((REPOSITORY / "operator/pyproject.toml").read_text(encoding="utf-8"))
+    return [contract["name"] for contract in document["tool"]["importlinter"]["contracts"]]
+
+
+@pytest.fixture(scope="module")
+def verdicts(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Contract -> KEPT or BROKEN, of a copy in which every violation stands."""
+    top = tmp_path_factory.mktemp("copy")
+    for folder in ("benchmarks", "ci", "scenarios"):
+        shutil.copytree(REPOSITORY / folder, top / folder, ignore=shutil.ignore_patterns("__pycache__", "*.mcap"))
+    source = REPOSITORY / "operator/src/robotkube"
+    shutil.copytree(source, top / "operator/src/robotkube", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copyfile(REPOSITORY / "operator/pyproject.toml", top / "operator/pyproject.toml")
+    for file, line in VIOLATIONS.values():
+        place = top / file if file.startswith("ci/") else top / "operator/src" / file
+        place.write_text(f"{place.read_text(encoding='utf-8')}\n{line}\n", encoding="utf-8")
+    environment = {**os.environ, "PYTHONPATH": f"{top / 'operator/src'}{os.pathsep}{top}", "COLUMNS": "500"}
+    command = [sys.executable, "-c", LINT]
+    done = subprocess.run(
+        command, cwd=top / "operator", env=environment, capture_output=True, text=True, timeout=120, check=False
+    )
+    return dict(re.findall(r"^(.+) (KEPT|BROKEN)$", done.stdout, re.MULTILINE))
+
+
+@pytest.mark.parametrize("contract", contracts())
+def test_a_violation_is_found(verdicts: dict[str, str], contract: str) -> None:
+    assert verdicts[contract] == "BROKEN"
+
+
+def test_every_contract_is_broken_on_purpose() -> None:
+    assert [name for name in contracts() if not name.startswith(tuple(VIOLATIONS))] == []

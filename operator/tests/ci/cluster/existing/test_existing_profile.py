@@ -1,0 +1,131 @@
+"""What a cluster of others is told: its chart's values, from where it pulls, and what of a scenario it must have."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+from ci.cluster.existing import mapping
+from ci.cluster.existing.nodes import GivenCluster
+from ci.cluster.existing.provider import Existing
+from ci.cluster.existing.removing import KEPT_KINDS
+from ci.cluster_contract import topology
+from ci.cluster_contract.topology import Topology
+from ci.errors import InputError
+from ci.installation import Installer, moved
+from tests.stages.paths import REPOSITORY, SCENARIOS
+
+SCENARIO = SCENARIOS / "pose-point-cloud-db-recording" / "scenario.yaml"
+GOLDEN = REPOSITORY / "operator/tests/charts/golden"
+POLICY = "helm.sh/resource-policy"
+LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+AGENTS = """
+agents:
+- {node: a, role: platform, agent: platform}
+- {node: b, role: cloud, agent: cloud-0, capabilities: [recording]}
+"""
+
+
+@pytest.fixture
+def wanted() -> Topology:
+    return topology.read(SCENARIO, {"vehicles": "1"})
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[Existing]:
+    """One that is reached by its file alone: nothing of this asks it."""
+    document = {
+        "apiVersion": "v1",
+        "kind": "Config",
+        "clusters": [{"name": "theirs", "cluster": {"server": "https://192.0.2.1:6443"}}],
+        "users": [{"name": "theirs", "user": {"token": "t"}}],
+        "contexts": [{"name": "theirs", "context": {"cluster": "theirs", "user": "theirs"}}],
+        "current-context": "theirs",
+    }
+    (tmp_path / "kubeconfig").write_text(yaml.safe_dump(document))
+    (tmp_path / "agents.yaml").write_text(AGENTS)
+    (tmp_path / "values.yaml").write_text("storage: {className: fast}\nplatform: {tolerations: [{operator: Exists}]}\n")
+    given = GivenCluster(
+        str(tmp_path / "kubeconfig"),
+        registry="registry.example.com/robots/robotkube",
+        agents=tmp_path / "agents.yaml",
+        values=tmp_path / "values.yaml",
+    )
+    found = Existing(given)
+    yield found
+    found._nodes._api.close()
+
+
+def test_the_chart_is_told_agents_registry_and_what_the_file_says(cluster: Existing) -> None:
+    profile = cluster.chart_profile()
+    assert profile.files == ()
+    assert profile.registry == "registry.example.com/robots/robotkube"
+    assert profile.added, "what is without its mark is somebody else's"
+    values = profile.values
+    assert values["global"] == {"imageRegistry": "registry.example.com/robots/robotkube"}
+    assert values["agents"] == [{"name": "cloud-0", "role": "cloud", "records": True}]
+    assert values["database"]["kind"] == "ferretdb"
+    assert values["storage"] == {"className": "fast"}
+    assert values["platform"] == {
+        "nodeSelector": {"robotkube.io/role": "platform"},
+        "tolerations": [{"operator": "Exists"}],
+    }
+    assert cluster.machines() is None
+    assert any("mirror" in text for text in cluster.lacks)
+
+
+def test_agents_of_a_scenario_that_have_no_node_are_named(cluster: Existing, wanted: Topology) -> None:
+    with pytest.raises(InputError, match=r"agents.yaml: the scenario needs Nodes of vehicle-00 \(role vehicle, capab"):
+        cluster.up(wanted, ())
+    mapping.require_agents(cluster._entries(), Topology(tuple(n for n in wanted.nodes if n.role != "vehicle")))
+
+
+def test_without_a_registry_there_is_no_installation(cluster: Existing, wanted: Topology, tmp_path: Path) -> None:
+    bare = Existing(GivenCluster(str(tmp_path / "kubeconfig"), agents=tmp_path / "agents.yaml"))
+    with pytest.raises(InputError, match=r"REGISTRY=HOST/PATH is needed"):
+        bare.up(wanted, ())
+    bare._nodes._api.close()
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [(None, r"cannot be read.*VALUES"), ("{", "is not YAML"), ("- a", "must be a mapping, as a file of values")],
+)
+def test_a_file_of_values_that_is_none_is_refused(tmp_path: Path, text: str | None, problem: str) -> None:
+    if text is not None:
+        (tmp_path / "v.yaml").write_text(text)
+    with pytest.raises(InputError, match=problem):
+        mapping.read_values(tmp_path / "v.yaml")
+
+
+def test_images_are_pulled_from_the_registry_by_their_digests() -> None:
+    built = "forge.robotkube.svc.cluster.local:3000/robotkube/argocd@sha256:1"
+    assert moved(built, "registry.example.com/r") == "registry.example.com/r/argocd@sha256:1"
+    assert moved(built, "") == built
+
+
+def test_every_kind_that_helm_keeps_is_removed() -> None:
+    golden = (GOLDEN / f"{name}.yaml" for name in ("embedded", "official"))
+    objects = [one for file in golden for one in yaml.load_all(file.read_text(), Loader=LOADER) if one]
+    kept = {one["kind"] for one in objects if one["metadata"].get("annotations", {}).get(POLICY) == "keep"}
+    assert kept
+    assert kept <= set(KEPT_KINDS)
+
+
+class OneNamespace(Installer):
+    """An installer that notes what it applies."""
+
+    applied = ""
+
+    def kubectl(self, *arguments: str, text: str | None = None, seconds: int = 60) -> str:
+        type(self).applied = text or ""
+        return ""
+
+
+def test_namespaces_that_are_made_have_the_mark_of_it(cluster: Existing) -> None:
+    OneNamespace(Path(), Path(), Path(), cluster.chart_profile()).namespace("robotkube", {"a": "b"}, {"c": "d"})
+    metadata = yaml.safe_load(OneNamespace.applied)["metadata"]
+    assert metadata["annotations"] == {"c": "d", "robotkube.io/added": "demo"}

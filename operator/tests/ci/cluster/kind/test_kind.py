@@ -1,0 +1,137 @@
+"""Clusters by kind: what kind is told, when one is made anew, and what is said when it fails. kind is a program of the
+test, which writes down what it was asked."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+
+from ci.cluster.kind import provider
+from ci.cluster.kind.configuration import configuration
+from ci.cluster.kind.provider import KindCluster
+from ci.cluster_contract import topology
+from ci.cluster_contract.topology import Topology
+from ci.errors import InputError, SetUpError
+from tests.stages.paths import SCENARIOS
+from tests.stages.registry.built_images import built_image
+
+pytestmark = pytest.mark.processes
+
+SCENARIO = SCENARIOS / "pose-point-cloud-db-recording" / "scenario.yaml"
+# A cluster is a file; one whose image is called `broken` cannot be made.
+KIND = """#!{python}
+import pathlib, sys
+there, words = pathlib.Path({there!r}), sys.argv[1:]
+with there.with_name("words").open("a") as file:
+    file.write(" ".join(words[:2]) + "\\n")
+if words[:2] == ["get", "clusters"]:
+    print("another", "robotkube" if there.exists() else "", sep="\\n")
+elif "broken" in words:
+    sys.exit('ERROR: failed to create cluster: pulling image "broken": not found')
+elif words[0] == "create":
+    there.touch()
+    pathlib.Path(words[words.index("--kubeconfig") + 1]).touch()
+elif words[0] == "delete":
+    there.unlink()
+"""
+Asked = Callable[[], list[str]]
+
+
+@pytest.fixture
+def asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Asked:
+    """What kind was asked since this was asked last, but for what there is."""
+    program = tmp_path / "bin" / "kind"
+    program.parent.mkdir()
+    program.write_text(KIND.format(python=sys.executable, there=str(tmp_path / "cluster")))
+    program.chmod(0o755)
+    monkeypatch.setenv("PATH", str(program.parent), prepend=":")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.delenv(provider.NODE_IMAGE, raising=False)
+    monkeypatch.setattr(KindCluster, "_ready", lambda _: True)
+
+    def words() -> list[str]:
+        file = tmp_path / "words"
+        said = file.read_text().splitlines() if file.exists() else []
+        file.unlink(missing_ok=True)
+        return [one for one in said if one != "get clusters"]
+
+    return words
+
+
+def nodes(vehicles: int) -> Topology:
+    return topology.read(SCENARIO, {"vehicles": str(vehicles)})
+
+
+@pytest.mark.parametrize("version_1", [False, True])
+def test_each_node_of_a_scenario_is_a_worker_with_its_labels(version_1: bool) -> None:
+    document = yaml.safe_load(configuration(nodes(2), version_1))
+    control, *workers = document["nodes"]
+    assert control == {"role": "control-plane"}
+    assert [one["labels"] for one in workers] == [node.labels for node in nodes(2).nodes]
+    assert document["networking"] == {"podSubnet": "10.72.0.0/16", "serviceSubnet": "10.73.0.0/16"}
+    assert ("kubeadmConfigPatches" in document) == version_1
+
+
+def test_a_cluster_is_made_once_and_anew_for_other_nodes(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
+    cluster = KindCluster()
+    cluster.up(nodes(1), ())
+    assert asked() == ["create cluster"]
+    cluster.up(nodes(1), ())
+    assert asked() == []
+    cluster.up(nodes(2), ())
+    assert asked() == ["delete cluster", "create cluster"]
+    monkeypatch.setenv(provider.NODE_IMAGE, "kindest/node:v9.9.9")
+    cluster.up(nodes(2), ())
+    assert asked() == ["delete cluster", "create cluster"]
+    monkeypatch.setattr(KindCluster, "_ready", lambda _: False)
+    cluster.up(nodes(2), ())
+    assert asked() == ["delete cluster", "create cluster"]
+
+
+def test_images_are_loaded_once_and_a_broken_one_is_named(asked: Asked, tmp_path: Path) -> None:
+    images = [built_image(tmp_path, name) for name in ("pause", "platform")]
+    cluster = KindCluster()
+    for _ in range(2):
+        cluster.up(nodes(1), images)
+    assert asked() == ["create cluster", "load image-archive"]
+    other = built_image(tmp_path, "gate", b"gate")
+    cluster.up(nodes(1), [*images, other])
+    assert asked() == ["load image-archive"]
+    broken = built_image(tmp_path, "ros", b"ros")
+    broken.archive.write_bytes(b"no archive")
+    with pytest.raises(SetUpError, match=r"ros.*no OCI layout archive"):
+        cluster.up(nodes(1), [*images, broken])
+    assert not (cluster.work() / "images").exists()
+
+
+def test_one_that_could_not_be_made_is_no_cluster(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(provider.NODE_IMAGE, "broken")
+    with pytest.raises(SetUpError, match=r'kind create cluster: ERROR: failed .* pulling image "broken": not found'):
+        KindCluster().up(nodes(1), ())
+    monkeypatch.delenv(provider.NODE_IMAGE)
+    KindCluster().up(nodes(1), ())
+    assert asked() == ["create cluster"] * 2
+
+
+def test_one_that_somebody_else_made_is_left_alone(asked: Asked, tmp_path: Path) -> None:
+    (tmp_path / "cluster").touch()
+    with pytest.raises(InputError, match="robotkube is there and was not made here; take it away first: kind delete"):
+        KindCluster().up(nodes(1), ())
+    assert KindCluster().down() == ()
+    assert asked() == []
+
+
+def test_down_removes_it_with_its_files(asked: Asked) -> None:
+    cluster = KindCluster()
+    assert cluster.down() == ()
+    cluster.up(nodes(1), ())
+    assert [line.partition(" ")[0] for line in cluster.down()] == ["kind", "files"]
+    assert asked() == ["create cluster", "delete cluster"]
+    assert not cluster.work().exists()
+    assert cluster.down() == ()
+    with pytest.raises(SetUpError, match="not running: start it with make cluster CLUSTER=kind"):
+        cluster.status()
