@@ -18,7 +18,7 @@ CHECKS: dict[str, Callable[[], list[str]]] = {
     "format": lambda: tools.tool("ruff", "format", "--check", "--config", "operator/pyproject.toml", *tools.CODE),
     "lint": lambda: tools.tool("ruff", "check", "--config", "operator/pyproject.toml", *tools.CODE),
     "types": tools.types,
-    "layers": lambda: tools.tool("lint-imports", "--config", "pyproject.toml", folder="operator"),
+    "layers": tools.layers,
     "repository": rules.repository_rules,
     "links": links.findings,
     "page": console.findings,

@@ -1,4 +1,4 @@
-"""What the tools find: ruff formats and lints, mypy checks types."""
+"""What the tools find: ruff in form and style, mypy in types, import-linter in imports."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from ci.folders import PROJECT
 CODE = ["operator/src", "operator/tests", "benchmarks", "ci", "scenarios", "gitops", "docs/examples"]
 TYPED = ["operator/src/robotkube", "benchmarks", "ci", "scenarios", "gitops"]
 TESTS = "operator/tests"
+CONTRACTS = ("pyproject.toml", "../ci/check/contracts.toml")  # from the folder operator
 LEFTOVER = re.compile(r"\[(?:attr-defined|call-arg|name-defined)\]$")
 """What tells of a test that names what is not there any more."""
 NO_LEFTOVER = re.compile(r'"[Oo]bject" has no attribute|has no attribute "_[a-z]|does not explicitly export')
@@ -29,6 +30,11 @@ def types() -> list[str]:
         for text in tool("mypy", "--config-file", "operator/pyproject.toml", *TYPED, TESTS)
         for line in type_findings(text)
     ]
+
+
+def layers() -> list[str]:
+    """Imports against the contracts: of the distribution, of all packages, of those of ci."""
+    return [line for file in CONTRACTS for line in tool("lint-imports", "--config", file, folder="operator")]
 
 
 def type_findings(text: str) -> list[str]:
