@@ -41,6 +41,7 @@ from tests.stages.registry.answering import Answering
 from tests.stages.registry.signed_evidence import (
     PLATFORM,
     POLICY_TEXT,
+    Remembering,
     Signing,
     application_evidence,
     seeded_key,
@@ -116,7 +117,7 @@ class Stage:
         """`image` is what the catalogue's charts run, `images` what releases would run when they are rendered."""
         self.images = images
         key = self.key = signing_key(folder / "key", SEED)
-        self.verifier = trusting(folder / "trusted", key)
+        self.verifier = Remembering(trusting(folder / "trusted", key))
         names = [(f"vehicle-{i:02d}", "vehicle") for i in range(vehicles)] + [("cloud-0", "cloud")]
         self.settings = ManagerSettings(tuple(Agent(name, role, name) for name, role in names), CHARTS)
         capabilities = {"cloud": frozenset({"recording"})}

@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
@@ -27,6 +27,7 @@ from robotkube.registry.evidence.core.statements import (
     Check,
     Listing,
     SuiteResult,
+    VerifiedStatement,
     suite_statement,
     summary_statement,
 )
@@ -36,6 +37,7 @@ from robotkube.registry.evidence.core.verification_policy import (
     VerificationPolicy,
     read_verification_policy,
 )
+from robotkube.registry.evidence.ports import Verifier
 
 PLATFORM = "linux/amd64"
 VERIFIED_AT = "2026-11-21T10:00:00Z"
@@ -87,6 +89,27 @@ def trusting(folder: Path, *keys: KeyFile) -> TrustedKeys:
     for key in keys:
         (folder / f"{key.key_id}.pem").write_text(key.public_key)
     return TrustedKeys(folder)
+
+
+class Remembering:
+    """Port Verifier for tests of what is done with evidence: an envelope that was believed under the same keys by any
+    test of this process is not verified again. What was refused is refused anew, in the verifier's words."""
+
+    believed: ClassVar[dict[tuple[frozenset[str], bytes], VerifiedStatement]] = {}
+
+    def __init__(self, verifier: Verifier) -> None:
+        self._verifier = verifier
+        self._keys = verifier.trusted()
+
+    def trusted(self) -> frozenset[str]:
+        self._keys = self._verifier.trusted()
+        return self._keys
+
+    def verify(self, envelope: bytes) -> VerifiedStatement:
+        known = (self._keys, envelope)
+        if known not in self.believed:
+            self.believed[known] = self._verifier.verify(envelope)
+        return self.believed[known]
 
 
 def artefact(chart: str = "app", version: str = "0.1.0", content: str = "", platform: str = PLATFORM) -> Artefact:

@@ -110,14 +110,42 @@ def _refusals(text: str) -> Iterator[None]:
         raise DocumentError(f"template {text!r}", [str(error) or type(error).__name__]) from error
 
 
+_ENVIRONMENT = _make_environment()
+
+
+def _parsed(text: str) -> nodes.Template:
+    """The template's tree; only expressions are in it."""
+    tree = _ENVIRONMENT.parse(text)
+    for node in tree.find_all((nodes.Stmt, nodes.Call)):
+        if not isinstance(node, (nodes.Output, nodes.If)):
+            raise jinja2.TemplateSyntaxError(f"{type(node).__name__} is not allowed; use expressions", node.lineno)
+    return tree
+
+
+@lru_cache(TEMPLATES_CACHED_MAX)
+def _compiled(text: str) -> jinja2.Template:
+    """The template of a text: known to all of a process, since nothing but the text is in it."""
+    return _ENVIRONMENT.from_string(_parsed(text))
+
+
+@lru_cache(TEMPLATES_CACHED_MAX)
+def _referred(text: str) -> frozenset[tuple[str, ...]]:
+    """The names that a template refers to, each with its first key when that is written out."""
+    with _refusals(text):
+        tree = _parsed(text)
+    names: set[tuple[str, ...]] = {(node.name,) for node in tree.find_all(nodes.Name)}
+    for by_name in tree.find_all(nodes.Getattr):
+        if isinstance(by_name.node, nodes.Name):
+            names.add((by_name.node.name, by_name.attr))
+    for by_key in tree.find_all(nodes.Getitem):
+        if isinstance(by_key.node, nodes.Name) and isinstance(by_key.arg, nodes.Const):
+            names.add((by_key.node.name, str(by_key.arg.value)))
+    return frozenset(names)
+
+
 class Jinja2Templates:
     """Templates by Jinja2: `render` renders every text of a JSON value; keys are not templates. DocumentError names the
     template."""
-
-    def __init__(self) -> None:
-        self._environment = _make_environment()
-        self._compiled = lru_cache(TEMPLATES_CACHED_MAX)(self._compile)
-        self._referred = lru_cache(TEMPLATES_CACHED_MAX)(self._refer)
 
     def render(self, value: Any, names: Mapping[str, Any]) -> Any:
         """`value` with all templates rendered with `names`."""
@@ -127,19 +155,7 @@ class Jinja2Templates:
     def references(self, text: str) -> frozenset[tuple[str, ...]]:
         """The names that a template refers to, each with its first key when that is written out: `("agent",)`,
         `("parameters", "vehicles")`. DocumentError when it is no template that could be rendered."""
-        return self._referred(text) if "{" in text else frozenset()
-
-    def _refer(self, text: str) -> frozenset[tuple[str, ...]]:
-        with _refusals(text):
-            tree = self._parsed(text)
-        names: set[tuple[str, ...]] = {(node.name,) for node in tree.find_all(nodes.Name)}
-        for by_name in tree.find_all(nodes.Getattr):
-            if isinstance(by_name.node, nodes.Name):
-                names.add((by_name.node.name, by_name.attr))
-        for by_key in tree.find_all(nodes.Getitem):
-            if isinstance(by_key.node, nodes.Name) and isinstance(by_key.arg, nodes.Const):
-                names.add((by_key.node.name, str(by_key.arg.value)))
-        return frozenset(names)
+        return _referred(text) if "{" in text else frozenset()
 
     def _render(self, value: Any, names: Mapping[str, Any], budget: list[int], depth: int) -> Any:
         budget[0] -= 1
@@ -155,19 +171,7 @@ class Jinja2Templates:
 
     def _render_text(self, text: str, names: Mapping[str, Any]) -> Any:
         with _refusals(text):
-            result = self._compiled(text).render(**names)
+            result = _compiled(text).render(**names)
             if isinstance(result, jinja2.Undefined):
                 str(result)
         return result
-
-    def _compile(self, text: str) -> Any:
-        self._parsed(text)
-        return self._environment.from_string(text)
-
-    def _parsed(self, text: str) -> nodes.Template:
-        """The template's tree; only expressions are in it."""
-        tree = self._environment.parse(text)
-        for node in tree.find_all((nodes.Stmt, nodes.Call)):
-            if not isinstance(node, (nodes.Output, nodes.If)):
-                raise jinja2.TemplateSyntaxError(f"{type(node).__name__} is not allowed; use expressions", node.lineno)
-        return tree
