@@ -31,6 +31,16 @@ NOTE_BYTES = 4096
 
 _note = mmap.mmap(-1, NOTE_BYTES)  # shared with processes that are forked: what was refused, or zeros
 _watching = False
+_hooked = False
+
+
+def pytest_collection_finish() -> None:
+    """Begin to see programs when tests are collected: until then nothing is refused, and hundreds of thousands of
+    events would be looked at."""
+    global _hooked
+    if not _hooked:
+        sys.addaudithook(_audit)
+        _hooked = True
 
 
 @pytest.hookimpl(wrapper=True)
@@ -86,6 +96,3 @@ def _audit(event: str, arguments: tuple[Any, ...]) -> None:
         note = message.encode("utf-8", "replace")[:NOTE_BYTES]
         _note[: len(note)] = note
         pytest.fail(message)
-
-
-sys.addaudithook(_audit)
