@@ -404,7 +404,7 @@ def test_there_is_no_resync_while_plan_follows_plan(stage: Stage) -> None:
     fetches, began = stage.catalogue.fetches, stage.seconds
     while stage.seconds - began < 2 * RESYNC_SECONDS_BUSY:
         stage.ask() if "cloud-0/meeting" not in stage.tasks.objects else stage.tasks.delete("cloud-0/meeting")
-        stage.go(steps=2, seconds=0.25)
+        stage.go(steps=2, seconds=0.45)
     assert stage.catalogue.fetches == fetches + 2
     stage.go(steps=2, seconds=RESYNC_SECONDS)
     assert stage.catalogue.fetches > fetches + 2

@@ -31,10 +31,11 @@ from robotkube.foundation.runtime.adapters.prometheus_series import series_text
 from robotkube.testing.clusters import MemoryTasks
 from robotkube.testing.task_gateways import MemoryGatewayChannel, MemoryTaskWriter
 from tests.stages.delivery.random_messages import ASKED, SPEC, random_message
+from tests.stages.examples import EXAMPLES
 from tests.stages.random_json import mistaken
 
 START_NS = 1795250000_000000000
-RANDOM_MESSAGES, THOROUGH_MESSAGES = 200, 5000
+RANDOM_MESSAGES, THOROUGH_MESSAGES = max(EXAMPLES, 60), 5000  # enough for every outcome
 
 
 class Stage:

@@ -2,51 +2,49 @@
 
 from __future__ import annotations
 
-import gc
-import weakref
-from collections.abc import Iterator
+import subprocess
+import sys
 
 import pytest
 
+BEGINNING = """
+import gc
+import weakref
 from robotkube.foundation.runtime.garbage_collection import Sweeper
 
 
-class Ring:
-    """Garbage that only a collection finds."""
-
-    def __init__(self) -> None:
+class Ring:  # garbage that only a collection finds
+    def __init__(self):
         self.itself = self
 
 
-@pytest.fixture(autouse=True)
-def _nothing_set_aside() -> Iterator[None]:
-    """Until the test ends: what collecting tests has made is set aside for all others."""
-    gc.unfreeze()
-    yield
-    gc.freeze()
+ring = Ring()
+found = weakref.ref(ring)
+"""
+FIRST_CALL = """
+del ring
+Sweeper(lambda: 100.0)()
+assert found() is None
+assert gc.get_freeze_count() > 0
+"""
+NEXT_SWEEP = """
+now = [0.0]
+sweep = Sweeper(lambda: now[0], seconds=60.0)
+sweep()
+del ring
+gc.collect()
+assert found() is not None, "it was not set aside"
+now[0] = 59.9
+sweep()
+assert found() is not None, "it came before its time"
+now[0] = 60.0
+sweep()
+assert found() is None
+"""
 
 
-def test_the_first_call_sweeps() -> None:
-    ring = Ring()
-    found = weakref.ref(ring)
-    del ring
-    Sweeper(lambda: 100.0)()
-    assert found() is None
-    assert gc.get_freeze_count() > 0
-
-
-def test_what_is_set_aside_is_collected_by_the_next_sweep() -> None:
-    now = [0.0]
-    sweep = Sweeper(lambda: now[0], seconds=60.0)
-    ring = Ring()
-    found = weakref.ref(ring)
-    sweep()
-    del ring
-    gc.collect()
-    assert found() is not None
-    now[0] = 59.9
-    sweep()
-    assert found() is not None
-    now[0] = 60.0
-    sweep()
-    assert found() is None
+@pytest.mark.parametrize("rest", [FIRST_CALL, NEXT_SWEEP], ids=["the first call sweeps", "the next sweep finds it"])
+def test_what_is_garbage_goes_with_a_sweep(rest: str) -> None:
+    """In a process of its own: a sweep of this one goes through all tests that were collected."""
+    ended = subprocess.run([sys.executable, "-c", BEGINNING + rest], capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (0, "")

@@ -18,10 +18,11 @@ from rosbags.typesys import Stores, get_typestore
 from robotkube.robots.ros.core.cdr import BIG_ENDIAN, CdrWriter, Header
 from robotkube.robots.ros.core.cdr_readers.readers import NUMBER, SERIES, TEXT, TRUTH, Layouts, UnknownTypeError
 from robotkube.robots.ros.core.message_definitions import read_definitions
+from tests.stages.examples import EXAMPLES
 from tests.stages.ros.random_types import RandomTypes, plain
 
-CASES = [200, pytest.param(5000, marks=pytest.mark.thorough)]
-PAYLOADS = [200, pytest.param(20_000, marks=pytest.mark.thorough)]
+CASES = [EXAMPLES, pytest.param(5000, marks=pytest.mark.thorough)]
+PAYLOADS = [EXAMPLES, pytest.param(20_000, marks=pytest.mark.thorough)]
 SHARE = Path(sys.prefix) / "share"
 store = get_typestore(Stores.ROS2_JAZZY)
 

@@ -14,8 +14,10 @@ from robotkube.errors import DocumentError
 from robotkube.robots.rules.core.specification.json_schema import KINDS, PROPERTIES, rules_schema
 from robotkube.robots.rules.core.specification.specifications import Proximity, Threshold
 from tests.stages.detector.rules import NUMBERS, POSES, RuleStage, problems_of, read
+from tests.stages.examples import EXAMPLES
 
-CASES = [200, pytest.param(20_000, marks=pytest.mark.thorough)]
+ENOUGH = max(EXAMPLES, 40)  # of fewer all are refused
+CASES = [ENOUGH, pytest.param(20_000, marks=pytest.mark.thorough)]
 SQUARE = [[0, 0], [10, 0], [10, 10], [0, 10], [0, 0]]
 SCHEMA = jsonschema.Draft7Validator(rules_schema())
 
