@@ -61,7 +61,7 @@ def test_a_healthy_run_passes_with_every_key_of_the_report(run: Any) -> None:
     assert document["latency_quantiles"]["stop_to_removed"] == {"p50": 4.988, "p95": 4.988, "n": 2}
     assert document["recorded"]["lost"] == document["recorded"]["duplicates"] == 0
     assert document["recorded"]["window_seconds"] == pytest.approx(37, abs=0.5)
-    assert document["recorded"]["poses"] == pytest.approx(2 * 20 * 37, abs=25)
+    assert document["recorded"]["poses"] == pytest.approx(2 * 10 * 37, abs=15)
     assert len(document["audit"]) == 5
     assert document["audit"][1]["task"] == "cloud-0/task-0"
     assert [(row["chart"], row["found"]) for row in document["evidence"]] == [("event-detector", True)]
@@ -252,7 +252,7 @@ def change_a_counter(**changes: Any) -> Break:
 def slow_down_one_vehicle_for_a_window(run: Any) -> None:
     seconds = dict(run.known.input_after.topics[POSE].seconds)
     for second in range(10, 15):
-        seconds[run.known.started // SECOND + second] = 18
+        seconds[run.known.started // SECOND + second] = 9
     change_a_counter(seconds=seconds)(run)
 
 

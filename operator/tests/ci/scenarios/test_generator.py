@@ -17,7 +17,7 @@ from scenarios.generator import bags, checking, messages, routes, scene
 from tests.stages.paths import SCENARIOS
 
 FOLDER = SCENARIOS / "pose-point-cloud-db-recording"
-QUICK = ("points=8000", "start_distance_m=200", "stop_distance_m=250", "pose_hz=20", "speed_mps=11")
+QUICK = ("points=4000", "start_distance_m=200", "stop_distance_m=250", "pose_hz=20", "speed_mps=11")
 
 
 def silent(_: str) -> None:
@@ -169,12 +169,11 @@ def test_the_player_reads_the_bag_in_order_with_its_qualities(made: Mapping[str,
     found.close()
 
 
-def test_bags_are_made_once(quick: definition.Scenario, tmp_path: Path) -> None:
-    said: list[str] = []
-    bags.make_bags(quick, tmp_path, said.append)
-    said.clear()
-    bags.make_bags(quick, tmp_path, said.append)
-    assert said == [f"bags: cached in {tmp_path / 'bags' / bags.key(quick.parameters)}"]
+def test_bags_are_made_once(quick: definition.Scenario, made: Mapping[str, Path]) -> None:
+    folder, said = made["vehicle-00"].parent, list[str]()
+    assert folder.parts[-2:] == ("bags", bags.key(quick.parameters))
+    assert bags.make_bags(quick, folder.parents[1], said.append) == made
+    assert said == [f"bags: cached in {folder}"]
 
 
 def test_a_sound_bag_passes(quick: definition.Scenario, made: Mapping[str, Path]) -> None:

@@ -1,7 +1,7 @@
 """A run as it should be, made of what a run leaves behind: ledgers, database documents, segment files, answers of
 services.
 
-Tests change one of these and see what the report says. Two encounters, three vehicles, poses at 20 Hz, clouds at 10 Hz.
+Tests change one of these and see what the report says. Two encounters, three vehicles, poses and clouds at 10 Hz.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from tests.stages.paths import SCENARIOS
 
 FOLDER = SCENARIOS / "pose-point-cloud-db-recording"
 SECOND = 1_000_000_000
+POSE_HZ = 10
 START = 1_795_250_000 * SECOND
 DELAY = 12_000_000  # from a message's stamp to its reception
 WRITER = PoseWriter()
@@ -41,6 +42,12 @@ def payload(topic: str, stamp: int) -> bytes:
         return WRITER.message(stamp, float(motion.x[0]), float(motion.y[0]), float(motion.yaw[0]))
     body = hashlib.sha256(f"{topic}/{stamp}".encode()).digest()
     return b"\x00\x01\x00\x00" + struct.pack("<iI", *divmod(stamp, SECOND)) + body
+
+
+@cache
+def digest(topic: str, stamp: int) -> str:
+    """The digest of that message."""
+    return hashlib.sha256(payload(topic, stamp)).hexdigest()
 
 
 @cache
@@ -86,7 +93,7 @@ class Run:
 
 @cache
 def _scenario() -> definition.Scenario:
-    return definition.load(FOLDER, ["vehicles=3", "pose_hz=20", "encounters=2"])
+    return definition.load(FOLDER, ["vehicles=3", f"pose_hz={POSE_HZ}", "encounters=2"])
 
 
 def healthy(folder: Path) -> Run:
@@ -103,7 +110,7 @@ def healthy(folder: Path) -> Run:
 
 def _streams(agent: str, seconds: int) -> Iterator[tuple[str, int, int, int]]:
     """Topic, offset and period in ns, number of messages."""
-    yield definition.pose_topic(agent), 0, SECOND // 20, seconds * 20
+    yield definition.pose_topic(agent), 0, SECOND // POSE_HZ, seconds * POSE_HZ
     yield definition.cloud_topic(agent), 5_000_000, SECOND // 10, seconds * 10
     yield definition.transform_topic(agent), 0, 0, 1
 
@@ -111,7 +118,7 @@ def _streams(agent: str, seconds: int) -> Iterator[tuple[str, int, int, int]]:
 def _ledger(topic: str, offset: int, period: int, count: int) -> Iterator[dict[str, Any]]:
     for sequence in range(count):
         stamp = START + offset + sequence * period
-        yield {"sequence": sequence, "stamp": stamp, "sha256": hashlib.sha256(payload(topic, stamp)).hexdigest()}
+        yield {"sequence": sequence, "stamp": stamp, "sha256": digest(topic, stamp)}
 
 
 def _record(run: Run, number: int, start: inputs.Edge, stop: inputs.Edge) -> None:
@@ -141,14 +148,13 @@ def _record(run: Run, number: int, start: inputs.Edge, stop: inputs.Edge) -> Non
 
 
 def _entry(name: str, topic: str, stamp: int, segment: str) -> dict[str, Any]:
-    digest = hashlib.sha256(payload(topic, stamp)).hexdigest()
     return {
         "_id": f"{name}/{topic}/{stamp}",
         "recording": name,
         "topic": topic,
         "stamp": stamp,
         "received": stamp + DELAY,
-        "sha256": digest,
+        "sha256": digest(topic, stamp),
         "volume": VOLUME,
         "segment": segment,
         "offset": 0,
@@ -157,8 +163,8 @@ def _entry(name: str, topic: str, stamp: int, segment: str) -> dict[str, Any]:
 
 
 def _bucket(name: str, topic: str, stamp: int) -> dict[str, Any]:
-    data = payload(topic, stamp)
-    sample = {"stamp": stamp, "received": stamp + DELAY, "sha256": hashlib.sha256(data).hexdigest(), "data": data}
+    received, data = stamp + DELAY, payload(topic, stamp)
+    sample = {"stamp": stamp, "received": received, "sha256": digest(topic, stamp), "data": data}
     return {"recording": name, "topic": topic, "second": stamp // SECOND, "samples": [sample]}
 
 
@@ -167,7 +173,7 @@ def _known(scenario: definition.Scenario) -> inputs.RunInputs:
     times = [(5.0, 5.0 + together), (24.0 + together, 24.0 + 2 * together)]
     edges, plans, pods, seen = [], [_plan(0, "initial", None, START - 60 * SECOND)], [], []
     for number, (begin, end) in enumerate(times):
-        start, stop = (START + int(moment * 20) * SECOND // 20 for moment in (begin, end))
+        start, stop = (START + int(moment * POSE_HZ) * SECOND // POSE_HZ for moment in (begin, end))
         edges += [_edge(number, "start", start), _edge(number, "stop", stop)]
         plans += [_plan(2 * number + 1, "task", edges[-2], start), _plan(2 * number + 2, "withdrawal", edges[-1], stop)]
         pod = inputs.Pod("cloud-0", f"recorder-vehicle-00-vehicle-01-{number}-x", f"uid-{number}", start + 2 * SECOND)
