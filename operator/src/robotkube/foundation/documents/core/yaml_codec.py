@@ -124,17 +124,23 @@ def _refuse_structure(text: str, where: str) -> None:
     """Refuse by events, before anything is built: building recurses, and aliases grow."""
     depth = 0
     for event in yaml.parse(text, Loader=_Loader):
-        if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
-            line = (event.start_mark.line if event.start_mark else 0) + 1
-            raise DocumentError(where, [f"line {line}: anchors and aliases are not allowed; write the value out"])
-        if getattr(event, "tag", None):
-            mark = event.start_mark
-            tag = getattr(event, "tag", "")
-            line = mark.line + 1 if mark else 0
-            raise DocumentError(where, [f"line {line}: tag {tag!r:.60} is not allowed; write a plain value"])
-        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
-        if depth > DEPTH_MAX + 1:
-            raise DocumentError(where, [f"nested deeper than {DEPTH_MAX}; write it flatter"])
+        if isinstance(event, yaml.NodeEvent):
+            _refuse_node(event, where)
+            depth += isinstance(event, yaml.CollectionStartEvent)
+            if depth > DEPTH_MAX + 1:
+                raise DocumentError(where, [f"nested deeper than {DEPTH_MAX}; write it flatter"])
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+
+
+def _refuse_node(event: Any, where: str) -> None:
+    """Refuse what is no plain value: an anchor, an alias, which is one to an anchor, or a tag."""
+    if event.anchor:
+        line = event.start_mark.line + 1 if event.start_mark else 0
+        raise DocumentError(where, [f"line {line}: anchors and aliases are not allowed; write the value out"])
+    if event.tag:
+        line = event.start_mark.line + 1 if event.start_mark else 0
+        raise DocumentError(where, [f"line {line}: tag {event.tag!r:.60} is not allowed; write a plain value"])
 
 
 def write_mapping(document: Mapping[str, Any]) -> str:
