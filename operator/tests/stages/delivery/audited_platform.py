@@ -35,6 +35,7 @@ from tests.stages.delivery.people import People
 from tests.stages.registry.signed_evidence import (
     CHARTS_URL,
     PLATFORM,
+    Remembering,
     application_evidence,
     catalogue,
     published,
@@ -210,7 +211,7 @@ class Platform:
 
     def copy(self, folder: Path) -> Platform:
         """The same platform once more, to be manipulated."""
-        shutil.copytree(self.folder, folder)
+        shutil.copytree(self.folder, folder, copy_function=shutil.copyfile)
         return Platform(folder, dict(self.names))
 
     def audit(
@@ -226,7 +227,7 @@ class Platform:
         sources = Sources(
             GitHistory(self.deployment.folder),
             GitHistory(self.catalogue.folder),
-            TrustedKeys(self.folder / "keys"),
+            Remembering(TrustedKeys(self.folder / "keys")),
             holds,
             manifests,
             "oci" if registry else "",
