@@ -169,6 +169,7 @@ def test_counts_never_fall_when_a_recording_is_over(bench: Bench, monkeypatch: p
     bench.recordings.trigger(event, bench.now)
     bench.play(10)
     bench.recordings.end(event, bench.now)
+    bench.play(30)
     until(lambda: bench.play(1) or counted)
     assert counted == [bench.recordings.counts()["offered"]]
 
