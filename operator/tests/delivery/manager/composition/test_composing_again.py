@@ -272,12 +272,12 @@ def test_what_has_come_to_main_keeps_the_version_that_main_has(version: str) -> 
 
 
 def test_large_inputs_are_answered_the_same_again_and_again() -> None:
-    case: Synthetic = synthetic(RENDER, validate, charts=10, versions=2, nodes=120, task_count=130)
+    case: Synthetic = synthetic(RENDER, validate, charts=10, versions=2, nodes=60, task_count=65)
     memo, standing = Memo(), list(case.tasks.values())
     given: Any = case.inputs(RENDER, validate)
     for number in (1, 2, 3):
         asked = demands([*standing, case.new_task(number)])
         assert compose(asked, given, memo) == compose(asked, given)
-    fewer = demands([*standing[:100], *standing[101:]])
+    fewer = demands([*standing[:50], *standing[51:]])
     assert compose(fewer, given, memo) == compose(fewer, given)
     assert compose([], given, memo) == Composition({}, {})

@@ -32,6 +32,7 @@ from tests.stages.delivery.placement import (
     several,
     task,
 )
+from tests.stages.examples import EXAMPLES
 
 ROOM = Resources(1000, 2**30)
 EDGE = {"role": "roadside"}
@@ -257,7 +258,7 @@ def check(desired: Composition, nodes: Sequence[NodeState], needs: Mapping[str, 
         assert millicores <= room.cpu_millicores, name
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(EXAMPLES))
 def test_groups_bridges_and_room_in_any_fleet(seed: int) -> None:
     chance = random.Random(seed)  # noqa: S311 - a case is named by its number
     services = [{**service, "values": {"x": 1}} for service in PAIR]
