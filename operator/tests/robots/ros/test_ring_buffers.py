@@ -25,10 +25,11 @@ from robotkube.robots.ros.core.ring_buffers import (
     Sample,
 )
 from robotkube.robots.ros.core.source_clocks import BEHIND_COUNT
+from tests.stages.examples import EXAMPLES
 from tests.stages.ros.buffer_model import KNOWN_POLICIES, ModelBuffer, ModelPool, random_messages
 
 S, MS = 1_000_000_000, 1_000_000
-CASES = [200, pytest.param(5000, marks=pytest.mark.thorough)]
+CASES = [max(EXAMPLES, 40), pytest.param(5000, marks=pytest.mark.thorough)]  # enough for every outcome
 
 
 def sample(stamp_ms: int, received_ms: int | None = None, data: bytes = b"x") -> Sample:
