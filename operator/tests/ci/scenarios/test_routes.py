@@ -98,7 +98,7 @@ def made(passing: definition.Scenario, tmp_path_factory: pytest.TempPathFactory)
 
 
 def test_every_player_has_a_sound_bag(passing: definition.Scenario, made: Mapping[str, Path]) -> None:
-    assert list(made) == ["vehicle-00", "vehicle-01", "roadside-0"]
+    assert tuple(made) == passing.players == ("vehicle-00", "vehicle-01", "roadside-0")
     for agent, folder in made.items():
         checking.check_bag(folder, passing, agent)
 
