@@ -17,13 +17,15 @@ from ci.images.image_lock import Image
 
 @dataclass(frozen=True)
 class NodeState:
-    """A node as the API server sees it."""
+    """A node as the API server sees it, for one of its agents: `guest` is that one's number beside the node's host, 0
+    where it is the host."""
 
     name: str
     role: str
     agent: str
     address: str
     ready: bool
+    guest: int = 0
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from ci.cluster.existing.mapping import AgentEntry
+from ci.cluster.existing.mapping import AgentEntry, AgentsFile
+from ci.cluster_contract import sharing
 from ci.errors import InputError
 
 ADDED = "robotkube.io/added-labels"  # annotation: the labels that were added, as a JSON object
@@ -55,12 +56,17 @@ class Change:
         return f"Node {self.node}: {', '.join([*words, *self.notes]) or 'the list of added labels alone'}"
 
 
-def adding(nodes: Sequence[GivenNode], entries: Sequence[AgentEntry]) -> tuple[Change, ...]:
-    """What makes the Nodes those of the entries, and of no others; Nodes that are so already need nothing. InputError
-    names what stands in the way."""
-    owners = _owners(nodes, entries)
-    changes = (_added(node, owners[node.name].labels if node.name in owners else {}) for node in nodes)
+def adding(nodes: Sequence[GivenNode], file: AgentsFile) -> tuple[Change, ...]:
+    """What makes the Nodes those of the file's entries, and of no others; Nodes that are so already need nothing.
+    InputError names what stands in the way."""
+    wanted = wanted_labels(nodes, file)
+    changes = (_added(node, wanted.get(node.name, {})) for node in nodes)
     return tuple(change for change in changes if change is not None)
+
+
+def wanted_labels(nodes: Sequence[GivenNode], file: AgentsFile) -> dict[str, Mapping[str, str]]:
+    """The labels by which Nodes (by name) are those of the file's entries; InputError names what stands in the way."""
+    return {name: sharing.labels(entries) for name, entries in _owners(nodes, file).items()}
 
 
 def removing(nodes: Sequence[GivenNode]) -> tuple[Change, ...]:
@@ -69,22 +75,41 @@ def removing(nodes: Sequence[GivenNode]) -> tuple[Change, ...]:
     return tuple(change for change in changes if change is not None)
 
 
-def _owners(nodes: Sequence[GivenNode], entries: Sequence[AgentEntry]) -> dict[str, AgentEntry]:
-    owners: dict[str, AgentEntry] = {}
-    for entry in entries:
+def _owners(nodes: Sequence[GivenNode], file: AgentsFile) -> dict[str, list[AgentEntry]]:
+    owners: dict[str, list[AgentEntry]] = {}
+    for entry in file.entries:
         meant = [node.name for node in nodes if entry.means(node.name, node.labels)]
         if not meant:
             there = ", ".join(node.name for node in nodes) or "none"
             raise InputError(f"agents.yaml: {entry}: there is no such Node; there is: {there}")
         for name in meant:
-            if name in owners:
+            others = owners.setdefault(name, [])
+            if others and not file.trial:
                 raise InputError(
-                    f"agents.yaml: Node {name} is asked for by {owners[name]} and by {entry}; a Node is one agent's, "
-                    "since charts find it by the one value of its label robotkube.io/agent"
+                    f"agents.yaml: Node {name} is asked for by {others[0]} and by {entry}; a Node is one agent's, by "
+                    "the one value of its label robotkube.io/agent: name another Node, or try several agents on one "
+                    "with trial: true beside agents"
                 )
-            owners[name] = entry
-    _roles(entries)
+            others.append(entry)
+    _roles(file.entries)
+    _homes(owners)
     return owners
+
+
+def _homes(owners: Mapping[str, Sequence[AgentEntry]]) -> None:
+    """InputError for an agent that shares a Node and has another one, too, or that stands twice on one: its pods would
+    have to be chosen by two labels."""
+    nodes: dict[str, list[str]] = {}
+    for name, entries in owners.items():
+        for entry in entries:
+            nodes.setdefault(entry.agent, []).append(name)
+    for agent, names in nodes.items():
+        shared = [name for name in names if len(owners[name]) > 1]
+        if shared and len(names) > 1:
+            raise InputError(
+                f"agents.yaml: agent {agent} shares Node {shared[0]} and stands on {', '.join(names)}; who shares a "
+                "Node has that one alone, by one entry: leave the others out"
+            )
 
 
 def _roles(entries: Sequence[AgentEntry]) -> None:

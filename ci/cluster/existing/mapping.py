@@ -5,7 +5,8 @@
     - {node: worker-2, role: cloud, agent: cloud-0, capabilities: [recording]}
     - {selector: {example.com/robot: "7"}, role: vehicle, agent: vehicle-00, capabilities: [lidar, recording]}
 
-An entry means the Node of that name, or every Node with these labels. Every refusal names file, key and fix.
+An entry means the Node of that name, or every Node with these labels. With `trial: true` beside `agents`, several
+entries may mean one Node, which is then several agents' (decision 0082). Every refusal names file, key and fix.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from ci.cluster_contract.topology import LABEL, NodeSpec, Topology, agent_labels
 from ci.errors import InputError
 
 PLATFORM = "platform"  # a role whose agent may have any name
+FILE_KEYS = {"agents", "trial"}
 KEYS = {"node", "selector", "role", "agent", "capabilities"}
 EXAMPLE = "agents: [{node: worker-1, role: vehicle, agent: vehicle-00, capabilities: [lidar]}]"
 
@@ -48,13 +50,27 @@ class AgentEntry:
         return f"{self.agent} ({nodes})"
 
 
-def read(path: Path) -> tuple[AgentEntry, ...]:
-    """The entries of a file; InputError."""
+@dataclass(frozen=True)
+class AgentsFile:
+    """What a file says: `trial`: one Node may be several agents'."""
+
+    entries: tuple[AgentEntry, ...]
+    trial: bool = False
+
+
+def read(path: Path) -> AgentsFile:
+    """What a file says; InputError."""
     document = yaml_files.read(path, f"write one, for example: {EXAMPLE}")
     entries = document.get("agents") if isinstance(document, dict) else None
     if not isinstance(entries, list) or not entries:
         raise InputError(f"{path}: agents: must be a list with at least one entry, for example: {EXAMPLE}")
-    return tuple(_entry(f"{path}: agents[{number}]", entry) for number, entry in enumerate(entries))
+    unknown = sorted(set(map(str, document)) - FILE_KEYS)
+    if unknown:
+        raise InputError(f"{path}: {unknown[0]}: is unknown; known keys are {', '.join(sorted(FILE_KEYS))}")
+    trial = document.get("trial", False)
+    if not isinstance(trial, bool):
+        raise InputError(f"{path}: trial: {trial!r} must be true (several agents may share a Node) or false")
+    return AgentsFile(tuple(_entry(f"{path}: agents[{number}]", entry) for number, entry in enumerate(entries)), trial)
 
 
 def require_agents(entries: Sequence[AgentEntry], topology: Topology) -> None:

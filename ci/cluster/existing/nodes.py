@@ -61,8 +61,13 @@ class GivenNodes:
         return tuple(one for one in self.all_states() if one.agent)
 
     def all_states(self) -> tuple[NodeState, ...]:
-        """All Nodes, by name."""
-        return tuple(sorted(map(node_states.node_state, self.objects()), key=lambda one: one.name))
+        """All Nodes, by name, each for every one of its agents."""
+        states = (state for item in self.objects() for state in node_states.node_states(item))
+        return tuple(sorted(states, key=lambda one: (one.name, one.guest)))
+
+    def labels(self) -> dict[str, Mapping[str, str]]:
+        """The labels of all Nodes, by name."""
+        return {one["metadata"]["name"]: one["metadata"].get("labels", {}) for one in self.objects()}
 
     def objects(self) -> list[Mapping[str, Any]]:
         """All Nodes as the API server has them."""
@@ -71,7 +76,11 @@ class GivenNodes:
 
     def planned(self, plan: Plan) -> tuple[Change, ...]:
         """What the plan says of the Nodes as they are."""
-        return plan([_given_node(one) for one in self.objects()])
+        return plan(self.given())
+
+    def given(self) -> list[GivenNode]:
+        """All Nodes as they are, with what was added to them."""
+        return [_given_node(one) for one in self.objects()]
 
     def agree(self, lines: Sequence[object]) -> None:
         """InputError unless somebody agrees that this is written."""

@@ -16,6 +16,7 @@ from ci.cluster.api_server import node_states
 from ci.cluster.existing import labels, mapping, registry, removing
 from ci.cluster.existing.nodes import Ask, GivenCluster, GivenNodes
 from ci.cluster.through_api_server.ways import ReachedThroughApiServer, values_of_built_images
+from ci.cluster_contract import sharing
 from ci.cluster_contract.provider import ChartProfile, NodeState
 from ci.cluster_contract.topology import Topology, chart_agents
 from ci.errors import InputError, SetUpError
@@ -51,6 +52,7 @@ class Existing(ReachedThroughApiServer):
     @property
     def lacks(self) -> tuple[str, ...]:
         """See NodesProvider.lacks."""
+        states = self.nodes() if self._agents().trial else ()
         return (
             self.lacking_images(),
             "bags and ledgers are copied by pods in the agents' namespaces, which the inspector names while they are "
@@ -58,6 +60,7 @@ class Existing(ReachedThroughApiServer):
             "Nodes of the role platform get no taint: pods of others may run beside the platform's",
             "weights and outages of Nodes, conditions of the network, CPU time and admission from files are not there: "
             "the machines are not this provider's",
+            *filter(None, (sharing.trial_of(states),)),
         )
 
     @property
@@ -69,9 +72,9 @@ class Existing(ReachedThroughApiServer):
         """Make Nodes those of agents.yaml; what was written, a line for each Node. Values for the chart are written to
         `values_file`."""
         self.recognise()
-        entries = self._entries()
-        values = self._with_given(self._of_agents(entries))
-        written = self._take(entries, ())
+        agents = self._agents()
+        values = self._with_given(self._of_agents(agents))
+        written = self._take(agents, ())
         self.values_file.parent.mkdir(parents=True, exist_ok=True)
         self.values_file.write_text(yaml.safe_dump(values), encoding="utf-8")
         return written
@@ -79,16 +82,16 @@ class Existing(ReachedThroughApiServer):
     def planned(self) -> tuple[str, ...]:
         """What `take` would write, a line for each Node."""
         self.recognise()
-        entries = self._entries()
-        return tuple(map(str, self._nodes.planned(lambda nodes: labels.adding(nodes, entries))))
+        agents = self._agents()
+        return tuple(map(str, self._nodes.planned(lambda nodes: labels.adding(nodes, agents))))
 
     def up(self, topology: Topology, wanted: Sequence[Image]) -> None:
         """See Provider.up: its Nodes are taken, and whatever the installation adds is agreed to."""
         self.recognise()
         brought = self.images_to_bring(wanted)
-        entries = self._entries()
-        mapping.require_agents(entries, topology)
-        self._take(entries, [*brought, *self._to_install()], wanted)
+        agents = self._agents()
+        mapping.require_agents(agents.entries, topology)
+        self._take(agents, [*brought, *self._to_install()], wanted)
         self.bring_images(wanted)
 
     def lacking_images(self) -> str:
@@ -168,46 +171,48 @@ class Existing(ReachedThroughApiServer):
 
     def chart_profile(self) -> ChartProfile:
         """See Provider.chart_profile."""
-        return ChartProfile((), self._values(self._entries()), self._place(), ADDED)
+        return ChartProfile((), self._values(self._agents()), self._place(), ADDED)
 
     def machines(self) -> None:
         """See Provider.machines: they are others'."""
 
     def pulls_from(self) -> tuple[str, Sequence[Mapping[str, str]]]:
         """See ReachedThroughApiServer.pulls_from."""
-        return self._place(), self._values(self._entries()).get("imagePullSecrets", [])
+        return self._place(), self._values(self._agents()).get("imagePullSecrets", [])
 
     def _installer(self) -> Installer:
         return Installer(self.binaries, self.kubeconfig(), self.work(), ChartProfile(added=ADDED))
 
-    def _entries(self) -> tuple[mapping.AgentEntry, ...]:
+    def _agents(self) -> mapping.AgentsFile:
         return mapping.read(self._given.agents)
 
     def _place(self) -> str:
         return str(registry.place_of(self._given.registry)) if self._given.registry else ""
 
-    def _values(self, entries: Sequence[mapping.AgentEntry]) -> dict[str, Any]:
+    def _values(self, agents: mapping.AgentsFile) -> dict[str, Any]:
         """What the chart is told of agents, registry and images that were built here, and upon it what the file of
         values says."""
-        return self._with_given({**self._of_agents(entries), **values_of_built_images()})
+        labelled = labels.wanted_labels(self._nodes.given(), agents) if agents.trial else {}
+        shared = sharing.platform_values(labelled)
+        return self._with_given({**self._of_agents(agents), **values_of_built_images(), **shared})
 
-    def _of_agents(self, entries: Sequence[mapping.AgentEntry]) -> dict[str, Any]:
+    def _of_agents(self, agents: mapping.AgentsFile) -> dict[str, Any]:
         """What the chart is told of agents, registry and cluster, whoever installs it."""
         place = self._place()
         pulled = {"global": {"imageRegistry": place}} if place else {}
-        return {"agents": chart_agents(entries), **pulled, **self.of_cluster()}
+        return {"agents": chart_agents(agents.entries), **pulled, **self.of_cluster()}
 
     def _with_given(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Values with those of the given file upon them."""
         return merged(values, mapping.read_values(self._given.values) if self._given.values else {})
 
     def _take(
-        self, entries: Sequence[mapping.AgentEntry], also: Sequence[str], wanted: Sequence[Image] | None = None
+        self, agents: mapping.AgentsFile, also: Sequence[str], wanted: Sequence[Image] | None = None
     ) -> tuple[str, ...]:
         """Write the labels of Nodes, once this and what comes `also` was agreed to."""
 
         def plan(nodes: Sequence[labels.GivenNode]) -> tuple[labels.Change, ...]:
-            return labels.adding(nodes, entries)
+            return labels.adding(nodes, agents)
 
         if self._given.registry:
             built = image_lock.read_lock(image_lock.lock_file()) if wanted is None else wanted

@@ -13,9 +13,10 @@ from ci import kind_cli
 from ci.cluster.api_server import node_states
 from ci.cluster.existing.nodes import GivenCluster, GivenNodes
 from ci.cluster.kind.command import Kind
-from ci.cluster.kind.configuration import CLUSTER, configuration, key
+from ci.cluster.kind.configuration import CLUSTER, WORKERS, configuration, key, shared_out
 from ci.cluster.through_api_server.bundled_images import bundled
 from ci.cluster.through_api_server.ways import ReachedThroughApiServer, values_of_built_images
+from ci.cluster_contract import sharing
 from ci.cluster_contract.provider import ChartProfile, NodeState
 from ci.cluster_contract.topology import Topology
 from ci.errors import InputError, SetUpError
@@ -36,7 +37,7 @@ class KindCluster(ReachedThroughApiServer):
 
     kind = "kind"
     name = CLUSTER
-    lacks = (
+    _lacks = (
         "what publishers push to the forge is not pulled by Nodes: images are loaded into them",
         "bags and ledgers are copied by pods in the agents' namespaces, which the inspector names while they are there",
         "Nodes of the role platform get no taint: pods of others may run beside the platform's",
@@ -47,14 +48,21 @@ class KindCluster(ReachedThroughApiServer):
     def __init__(self, binaries: Path = Path()) -> None:
         super().__init__(binaries)
 
+    @property
+    def lacks(self) -> tuple[str, ...]:
+        """See NodesProvider.lacks."""
+        states = self.nodes() if self.kubeconfig().exists() else ()
+        return (*self._lacks, *filter(None, (sharing.trial_of(states),)))
+
     def up(self, topology: Topology, wanted: Sequence[Image]) -> None:
         """See Provider.up."""
+        workers = shared_out(topology, os.environ.get(WORKERS, ""))
         steps = Steps(STEPS)
         with steps.step("kind"):
             command = Kind(kind_cli.ensure())
-        configured = configuration(topology, cgroups_of_version_1=not cgroups.unified())
+        configured = configuration(workers, cgroups_of_version_1=not cgroups.unified())
         record = self._record()
-        with steps.step(f"cluster {CLUSTER}: {len(topology.nodes) + 1} containers") as step:
+        with steps.step(f"cluster {CLUSTER}: {len(workers) + 1} containers") as step:
             if record.get("key") == key(configured, self._node_image) and command.runs() and self._ready():
                 step.note = "running, of the same nodes"
             else:
@@ -127,12 +135,13 @@ class KindCluster(ReachedThroughApiServer):
             **values_of_built_images(),
             "inspection": {"verifyKubelets": False},
             "networkPolicies": self._addresses(),
+            **sharing.platform_values(self._given_nodes.labels()),
         }
         return ChartProfile((), values)
 
     def _addresses(self) -> Mapping[str, Any]:
         """Where the API server and kubelets answer, for a network that enforces policies."""
-        states = self._given_nodes.all_states()
+        states = [node for node in self._given_nodes.all_states() if not node.guest]
         every = [{"ipBlock": {"cidr": f"{node.address}/32"}} for node in states]
         control = [one for one, node in zip(every, states, strict=True) if node.name == f"{CLUSTER}-control-plane"]
         return {

@@ -9,11 +9,12 @@ import subprocess
 import tarfile
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
 from ci.errors import SetUpError
+from robotkube.foundation.kubernetes.core.node_agents import selector
 
 LABEL, OF_VOLUMES = "robotkube.io/added", "volumes"
 FOLDER = "/volume"
@@ -60,12 +61,14 @@ if os.path.isfile(path):
 @dataclass
 class PodVolumes:
     """See provider.Volumes. `kubectl` is the command with what names the cluster, `image` one with Python, which the
-    cluster pulls by the Secrets `pull_secrets`; copies of files are put below `work`."""
+    cluster pulls by the Secrets `pull_secrets`; copies of files are put below `work`. `guests`: the numbers of agents
+    that are guests on their Node."""
 
     kubectl: Sequence[str]
     image: str
     work: Path
     pull_secrets: Sequence[Mapping[str, str]] = ()
+    guests: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._used: set[Claim] = set()
@@ -178,7 +181,7 @@ class PodVolumes:
             "terminationGracePeriodSeconds": 0,
             "automountServiceAccountToken": False,
             "enableServiceLinks": False,
-            "nodeSelector": {"robotkube.io/agent": namespace},
+            "nodeSelector": selector(namespace, self.guests.get(namespace, 0)),
             "imagePullSecrets": list(self.pull_secrets),
             "securityContext": {
                 **user,

@@ -15,7 +15,7 @@ import yaml
 from ci import toolchain
 from ci.cluster.through_api_server.forwards import HOST, Forwards
 from ci.cluster.through_api_server.pod_volumes import PodVolumes
-from ci.cluster_contract.provider import ServicePort, WayOfAPerson
+from ci.cluster_contract.provider import NodeState, ServicePort, WayOfAPerson
 from ci.folders import PROJECT
 from ci.images import image_lock
 from ci.installation import moved
@@ -38,6 +38,10 @@ class ReachedThroughApiServer(ABC):
     @abstractmethod
     def work(self) -> Path:
         """See Provider.work."""
+
+    @abstractmethod
+    def nodes(self) -> tuple[NodeState, ...]:
+        """See NodesProvider.nodes."""
 
     @property
     def binaries(self) -> Path:
@@ -64,7 +68,8 @@ class ReachedThroughApiServer(ABC):
         """See Provider.volumes."""
         [image] = [one for one in image_lock.read_lock(image_lock.lock_file()) if one.name == IMAGE_OF_VOLUMES]
         registry, secrets = self.pulls_from()
-        used = PodVolumes(self._kubectl, moved(image.reference, registry), self.work(), secrets)
+        guests = {node.agent: node.guest for node in self.nodes() if node.guest}
+        used = PodVolumes(self._kubectl, moved(image.reference, registry), self.work(), secrets, guests)
         try:
             yield used
         finally:

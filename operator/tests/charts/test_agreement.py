@@ -305,7 +305,7 @@ def test_values_and_settings_of_the_earlier_version_are_still_read(
     assert older == newer
     images = chart_images.all_as("x@sha256:" + "5" * 64)
     packed = [pack(CHARTS / folder / chart, images) for folder in ("apps", "earlier")]
-    assert [one.version for one in packed] == ["0.2.2", "0.1.2"]
+    assert [one.version for one in packed] == ["0.2.3", "0.1.2"]
 
 
 @pytest.mark.parametrize("chart", ["object-detection", "object-tracking"])
@@ -318,7 +318,7 @@ def test_two_versions_of_a_chart_differ_in_what_they_run(helm: Any, apps: Mappin
     assert newer != older
     images = chart_images.all_as("x@sha256:" + "5" * 64)
     packed = [pack(CHARTS / folder / chart, images) for folder in ("apps", "earlier")]
-    assert [one.version for one in packed] == ["0.2.2", "0.1.2"]
+    assert [one.version for one in packed] == ["0.2.3", "0.1.2"]
     assert len({one.digest for one in packed}) == 2
 
 

@@ -26,8 +26,8 @@ from tests.stages.registry.wrong_charts import APP, MISTAKES, wrong_chart
 pytestmark = pytest.mark.toolchain
 
 PACKAGED = [
-    ("apps", "bag-player", "0.1.2"),
-    *(("apps", name, "0.2.2") for name in ("mqtt-bridge", "event-detector", "object-detection", "object-tracking")),
+    ("apps", "bag-player", "0.1.3"),
+    *(("apps", name, "0.2.3") for name in ("mqtt-bridge", "event-detector", "object-detection", "object-tracking")),
     *(
         pytest.param("earlier", name, "0.1.2", marks=pytest.mark.thorough)
         for name in ("mqtt-bridge", "event-detector", "object-detection", "object-tracking")

@@ -125,7 +125,7 @@ def test_what_was_built_is_published_once_and_its_evidence_kept(
     assert first.outcome.verdict == PUBLISHED
     assert {chart.name.split()[0] for chart in first.outcome.charts} == set(publish.BASE)
     assert len(publishing.runner.runs) == len(SUITES) * len(first.outcome.charts)
-    assert any(line.startswith("bag-player 0.1.2: static 1  passed") for line in said)
+    assert any(line.startswith("bag-player 0.1.3: static 1  passed") for line in said)
     with OciRegistry(installation.url, "argocd", installation.passwords["argocd"]) as registry:
         for chart in first.outcome.charts:
             digest = registry.manifest_digest(f"verified/{chart.artefact.chart}", chart.digest)
@@ -150,11 +150,11 @@ def test_more_charts_come_with_what_they_replace_and_the_applications_they_run(
     assert "object-detection 0.1.2" in {chart.name for chart in older.outcome.charts}
     newer = publish.publish_to(access, built, kept, extra=["object-detection", "object-tracking"])
     names = {chart.name for chart in newer.outcome.charts}
-    assert names == {"object-detection 0.2.2", "object-tracking 0.1.2", "object-tracking 0.2.2"}
+    assert names == {"object-detection 0.2.3", "object-tracking 0.1.2", "object-tracking 0.2.3"}
     assert "object-detection 0.1.2" in newer.outcome.unchanged
     assert "applications/environment-perception.yaml" in newer.outcome.applications
     found = read_catalogue({path: text for path, text in publishing.main().items() if path.startswith(FOLDERS)})
-    assert [v.version for v in found.charts["object-detection"] if v.state == "verified"] == ["0.1.2", "0.2.2"]
+    assert [v.version for v in found.charts["object-detection"] if v.state == "verified"] == ["0.1.2", "0.2.3"]
     assert found.problems == ()
 
 
@@ -188,7 +188,7 @@ def test_another_image_of_one_service_gives_that_chart_another_digest_alone(
     assert len(first.outcome.charts) == len(publish.BASE)
     before = len(publishing.runner.runs)
     second = publish.publish_to(access, images(tmp_path, b"before", mqtt_bridge=b"after"), tmp_path / "kept")
-    assert [chart.name for chart in second.outcome.charts] == ["mqtt-bridge 0.2.2"]
+    assert [chart.name for chart in second.outcome.charts] == ["mqtt-bridge 0.2.3"]
     assert len(publishing.runner.runs) == before + len(SUITES)
 
 

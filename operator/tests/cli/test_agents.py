@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 from robotkube.cli.agents import rights
-from robotkube.cli.agents.accounts import Ends, OfMain, rows
+from robotkube.cli.agents.accounts import Ends, OfMain, rows, shared_rows
 from robotkube.cli.main import main
 from robotkube.cli.platform import AGENT_LABEL
 from robotkube.delivery.deployment.core.policies.agents import PATH as AGENTS_PATH
@@ -136,6 +136,18 @@ def test_an_agent_has_an_account_and_what_its_nodes_say(repository: Repository) 
     }
     assert other["certificate_until"] == "2026-11-26T00:00:00Z"
     assert (other["account"], other["nodes"], other["ready"], other["seen"]) == ("open", 1, 0, "")
+
+
+def test_agents_that_share_a_node_count_it_each_and_that_is_said() -> None:
+    shared = node("worker", "vehicle-00", "True")
+    shared["metadata"]["labels"]["agent.robotkube.io/vehicle-01"] = "1"
+    nodes = [shared, node("cloud-0", "cloud-0", "True")]
+    found = rows(ACCOUNTS.agents, OfMain({}, {}), nodes, [lease("worker", "2026-11-26T10:00:09.000000Z")], Ends())
+    counted = {row["agent"]: (row["nodes"], row["ready"], row["seen"]) for row in found}
+    assert counted["vehicle-00"] == counted["vehicle-01"] == (1, 1, "2026-11-26T10:00:09Z")
+    trial = "no machine keeps them apart, and no figure compares machines"
+    assert shared_rows(nodes) == [{"node": "worker", "agents": ["vehicle-00", "vehicle-01"], "trial": trial}]
+    assert shared_rows(nodes[1:]) == []
 
 
 RESERVED = (*ACCOUNTS.agents, AgentAccount("vehicle-16", "", "vehicle-16"), AgentAccount("edge-9", "", "edge-9"))

@@ -96,8 +96,8 @@ def test_what_would_go_is_listed_before_a_task_is_withdrawn(line: Line, monkeypa
     monkeypatch.setattr(Platform, "withdraw", lambda self, key, dry_run: None)
     code, out, err = line.run("task", "withdraw", line.key, "--dry-run")
     assert (code, err.splitlines()[0]) == (0, f"would withdraw: {line.key}")
-    assert f"stops {RECORDER} (event-detector 0.2.2)" in out
-    assert "changes vehicle-00/mqtt-bridge (mqtt-bridge 0.2.2)" in out
+    assert f"stops {RECORDER} (event-detector 0.2.3)" in out
+    assert "changes vehicle-00/mqtt-bridge (mqtt-bridge 0.2.3)" in out
     code, out, _ = line.run("task", "withdraw", line.key, "--dry-run", "--output", "json")
     assert json.loads(out)["releases"] == [RECORDER]
     assert line.key in line.stage.tasks.objects

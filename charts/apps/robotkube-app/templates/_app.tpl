@@ -117,6 +117,15 @@ robotkube.io/settings: {{ toJson .config | sha256sum | trunc 16 | quote }}
 {{- end }}
 {{- end }}
 
+{{- /* The label of the agent's Nodes; where it is a guest on another agent's, that of its own there. */ -}}
+{{- define "robotkube-app.ofAgent" -}}
+{{- with .Values.placement.guest -}}
+agent.robotkube.io/{{ $.Values.placement.agent }}: {{ int . | quote }}
+{{- else -}}
+robotkube.io/agent: {{ .Values.placement.agent | quote }}
+{{- end -}}
+{{- end }}
+
 {{- define "robotkube-app.pod" -}}
 serviceAccountName: {{ .serviceAccount | default "application" }}
 automountServiceAccountToken: false   # mounted below, as the one account this pod needs
@@ -124,7 +133,7 @@ enableServiceLinks: false
 {{- with .root.Values.terminationGracePeriodSeconds }}
 terminationGracePeriodSeconds: {{ . | int }}
 {{- end }}
-nodeSelector: {robotkube.io/agent: {{ .root.Values.placement.agent | quote }}{{ with .root.Values.placement.node }}, kubernetes.io/hostname: {{ . | quote }}{{ end }}}
+nodeSelector: { {{- include "robotkube-app.ofAgent" .root }}{{ with .root.Values.placement.node }}, kubernetes.io/hostname: {{ . | quote }}{{ end -}} }
 dnsConfig: {options: [{name: ndots, value: "1"}]}          # addresses are full names: one question each
 securityContext:
   runAsNonRoot: true
@@ -144,6 +153,9 @@ containers:
   - {name: ROS_LOG_DIR, value: /tmp/ros}
   {{- range $name, $value := .environment }}
   - {name: {{ $name }}, value: {{ $value | quote }}}
+  {{- end }}
+  {{- with .root.Values.placement.guest }}
+  - {name: ROS_DOMAIN_ID, value: {{ int . | quote }}}          # its host's pods, and those of other guests, are on the same network
   {{- end }}
   - {name: NODE_NAME, valueFrom: {fieldRef: {fieldPath: spec.nodeName}}}
   ports: [{name: health, containerPort: 8081}]

@@ -177,7 +177,7 @@ def test_requirements_choose_the_version(tmp_path: Path) -> None:
         actor._step(read_steps([ask(name, sensor, **more)])[0])
     found = rehearsal.releases()
     assert found["cloud-0/object-detection-vehicle-00"].version == "0.1.2"
-    assert found["cloud-0/object-detection-vehicle-01"].version == "0.2.2"
+    assert found["cloud-0/object-detection-vehicle-01"].version == "0.2.3"
     refused = rehearsal.task("cloud-0", "impossible")["status"]["conditions"][0]
     assert (refused["reason"], "range" in refused["message"]) == ("GuaranteeNotMet", True)
 

@@ -11,6 +11,7 @@ from robotkube.cli.live import fleet
 from robotkube.cli.live.feed import PlatformPicture
 from robotkube.cli.live.view import view
 from robotkube.cli.live.ways import way
+from robotkube.foundation.kubernetes.core.node_agents import NodeAgent
 from tests.stages.live_platform import NOW, SECOND, node, plan, pod, task
 
 
@@ -61,6 +62,19 @@ def test_a_low_terminal_shows_who_needs_to_be_looked_at_and_counts_the_rest(pict
     assert lines[2].startswith("v-77 ")
     assert lines[-1].rstrip() == "and 94 more, 94 of them ready"
     assert len(lines) < 20
+
+
+def test_agents_that_share_a_node_are_rows_of_their_own_and_that_is_said(picture: PlatformPicture) -> None:
+    assert "trial mode" not in drawn(picture)
+    shared = node("cloud-0", "Unknown", role="cloud")
+    shared["metadata"]["labels"] |= NodeAgent("platform", "platform", frozenset(), 1).labels
+    shared["metadata"]["labels"] |= NodeAgent("edge-7", "edge", frozenset(), 2).labels
+    picture.nodes["cloud-0"] = fleet.look_at_node(shared)
+    lines = drawn(picture).splitlines()
+    assert "3 of 5 agents ready" in lines[0]
+    assert "trial mode: agents share Nodes (Node cloud-0 is cloud-0, platform, edge-7)" in lines[1]
+    silent = [line.split()[:3] for line in lines if "silent" in line]
+    assert silent == [["cloud-0", "cloud", "silent"], ["edge-7", "edge", "silent"]], "both are as their Node is"
 
 
 def test_a_task_that_goes_its_way(picture: PlatformPicture) -> None:

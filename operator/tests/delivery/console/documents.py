@@ -161,7 +161,7 @@ CATALOGUE = {
         {
             "kind": "chart",
             "name": "event-detector",
-            "version": "0.2.2",
+            "version": "0.2.3",
             "state": "verified",
             "digest": "sha256:" + "a" * 64,
         },

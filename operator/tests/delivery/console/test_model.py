@@ -117,7 +117,7 @@ def test_a_manager_that_is_away_leaves_what_it_said(model: ReadModel) -> None:
     reader = ManagerReader(model, pages, ManagerPages("manager", URL), lambda: now)
     assert reader.step()
     assert list(model.documents(kinds.PLANS)) == [given.PLAN]
-    assert set(model.documents(kinds.CATALOGUE)) == {"application/recording", "chart/event-detector/0.2.2"}
+    assert set(model.documents(kinds.CATALOGUE)) == {"application/recording", "chart/event-detector/0.2.3"}
     pages.pages.clear()
     assert not reader.step()
     source = model.documents(kinds.SOURCES)["manager/manager"]
@@ -139,7 +139,7 @@ def test_a_chart_says_where_it_runs(model: ReadModel) -> None:
     reader.step()
     put_release(model, given.application())
     reader.step()
-    assert model.documents(kinds.CATALOGUE)["chart/event-detector/0.2.2"]["releases"] == [given.RECORDER]
+    assert model.documents(kinds.CATALOGUE)["chart/event-detector/0.2.3"]["releases"] == [given.RECORDER]
 
 
 @pytest.mark.parametrize("page", [{}, {"plans": [{}]}, {"plans": 3}, {"plans": ["x"]}])

@@ -96,12 +96,12 @@ def test_every_application_of_the_project_passes(catalogue: Catalogue, renderer:
 def test_a_value_that_names_an_image_is_found_where_a_parameter_leads_to_it(
     catalogue: Catalogue, renderer: ChartRenderer, tmp_path: Path
 ) -> None:
-    document = yaml.safe_load(catalogue.files["charts/mqtt-bridge/0.2.2.yaml"])
+    document = yaml.safe_load(catalogue.files["charts/mqtt-bridge/0.2.3.yaml"])
     del document["status"]
     catalogue.add(chart_with_image_value(tmp_path / "charts"), document)
-    schema = json.loads(catalogue.files["charts/mqtt-bridge/0.2.2.schema.json"])
+    schema = json.loads(catalogue.files["charts/mqtt-bridge/0.2.3.schema.json"])
     schema["properties"]["image"] = {"type": "object", "properties": {"reference": {"type": "string"}}}
-    catalogue.files["charts/mqtt-bridge/0.2.2.schema.json"] = json.dumps(schema)
+    catalogue.files["charts/mqtt-bridge/0.2.3.schema.json"] = json.dumps(schema)
     parameters = {"image": {"enum": [IMAGE, FOREIGN], "default": IMAGE}}
     service = {
         "name": "bridge",

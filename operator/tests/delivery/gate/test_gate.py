@@ -117,7 +117,7 @@ WRONG_RELEASES = {
     ),
     "another version": ({"version": "0.3.0"}, "is not in the catalogue, which has"),
     "another plan": ({"plan": "20261121-100000-ffffff"}, "differs from the commit's RobotKube-Plan"),
-    "evidence": ({"evidence": "none"}, "robotkube.io/evidence is none, the evidence of chart event-detector@0.2.2@"),
+    "evidence": ({"evidence": "none"}, "robotkube.io/evidence is none, the evidence of chart event-detector@0.2.3@"),
     "values": ({"values": {"placement": {"agent": "cloud-0"}, "x": 1}}, "spec.values: Additional properties are not"),
     "parameters": (
         {"causes": (replace(CAUSE, parameters='{"vehicles":[]}'),)},
@@ -137,7 +137,7 @@ def test_wrong_releases_are_refused(installation: Installation, gate: RunningGat
     plan = installation.plan()
     files = release_files(plan, **{"name": "wrong", **changes})
     chart = ChartReference(
-        "event-detector", changes.get("version", "0.2.2"), changes.get("digest", DIGESTS["event-detector"])
+        "event-detector", changes.get("version", "0.2.3"), changes.get("digest", DIGESTS["event-detector"])
     )
     commit = manager.commit(files, message(plan, charts=(chart,)), [manager.tip()])
     text = wait_for_refusal(installation, installation.propose(manager, commit, plan))
@@ -304,7 +304,7 @@ def test_what_the_catalogue_withdrew_is_refused_when_both_are_told_at_once(
 ) -> None:
     """The gate is busy while a version is withdrawn and a plan with it proposed; it reads the catalogue first."""
     pause(gate)
-    path, plan = "charts/event-detector/0.2.2.yaml", installation.plan()
+    path, plan = "charts/event-detector/0.2.3.yaml", installation.plan()
     number = installation.propose(
         manager, manager.commit(release_files(plan, "late"), message(plan), [manager.tip()]), plan
     )

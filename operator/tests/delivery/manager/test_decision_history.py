@@ -27,8 +27,8 @@ def test_why_a_candidate_was_taken_stays_when_it_runs(stage: Stage) -> None:
     stage.settle()
     (first,) = history(stage, key)
     assert first["reason"] == "Accepted"
-    assert first["runs"] == ["cloud-0/recorder-vehicle-00-vehicle-01: event-detector 0.2.2"]
-    assert "event-detector 0.2.2 (verified): taken" in first["message"]
+    assert first["runs"] == ["cloud-0/recorder-vehicle-00-vehicle-01: event-detector 0.2.3"]
+    assert "event-detector 0.2.3 (verified): taken" in first["message"]
     assert "cloud-0: taken" in first["message"]
     stage.manager = stage.start()
     stage.settle()
@@ -58,8 +58,8 @@ def test_every_other_decision_is_added_with_its_time(stage: Stage) -> None:
     ]
     assert [one["runs"] for one in entries] == [
         [],
-        ["cloud-0/recorder-vehicle-00-vehicle-01: event-detector 0.2.2"],
-        ["cloud-0/recorder-vehicle-01-vehicle-02: event-detector 0.2.2"],
+        ["cloud-0/recorder-vehicle-00-vehicle-01: event-detector 0.2.3"],
+        ["cloud-0/recorder-vehicle-01-vehicle-02: event-detector 0.2.3"],
     ]
     times = [one["time"] for one in entries]
     assert times == sorted(set(times))

@@ -100,7 +100,7 @@ def edit(stage: Stage, path: str, **status: Any) -> None:
     stage.catalogue.push({path: yaml.safe_dump(document)})
 
 
-DETECTOR = "charts/event-detector/0.2.2.yaml"
+DETECTOR = "charts/event-detector/0.2.3.yaml"
 
 
 def test_every_commit_names_the_evidence_of_its_charts(stage: Stage) -> None:
@@ -115,7 +115,7 @@ def test_every_commit_names_the_evidence_of_its_charts(stage: Stage) -> None:
     assert release.causes[0].parameters == '{"vehicles":["vehicle-00","vehicle-01"]}'
     body = stage.forge.bodies[2]
     assert "Assurance of the release policy: **verified**." in body
-    assert "- event-detector 0.2.2: passed static, images, install under policy" in body
+    assert "- event-detector 0.2.3: passed static, images, install under policy" in body
     assert "  - guarantees: stop-time at most 10 s (declared)" in body
     assert f"summary `{message.evidence[0]}`" in body
     assert stage.tasks.condition(key, "Committed") == ("True", "Merged")
@@ -129,7 +129,7 @@ def test_an_entry_edited_to_verified_without_evidence_is_no_verified_version(sta
     stage.go(wake=CATALOGUE)
     assert stage.tasks.condition(key, "Accepted") == ("False", "NoVerifiedVersion")
     message = stage.tasks.objects[key]["status"]["conditions"][0]["message"]
-    assert "event-detector 0.2.2 (verified): no valid evidence: suite static: there is no evidence" in message
+    assert "event-detector 0.2.3 (verified): no valid evidence: suite static: there is no evidence" in message
     assert stage.tasks.reports == [(key, "NoVerifiedVersion", message)]
 
 
@@ -172,7 +172,7 @@ def test_without_assurance_the_evidence_is_none(stage: Stage) -> None:
     message = read_message(stage.repository.commits[stage.repository.tip].message)
     assert set(message.evidence) == {"none"}
     assert {release.evidence for release in stage.releases().values()} == {"none"}
-    assert "- event-detector 0.2.2: none" in stage.forge.bodies[2]
+    assert "- event-detector 0.2.3: none" in stage.forge.bodies[2]
 
 
 @pytest.mark.parametrize(

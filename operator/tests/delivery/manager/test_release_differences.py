@@ -33,12 +33,12 @@ def told(before: Release | None, after: Release | None) -> list[tuple[str, str |
 
 def test_each_value_that_changes_is_told_before_and_after() -> None:
     bridge = {"topics": [{"name": "/pose", "depth": 1000}, {"name": "/list"}], "held": False}
-    after = replace(BEFORE, version="0.2.2", digest="sha256:2", values={"bridge": bridge})
+    after = replace(BEFORE, version="0.2.3", digest="sha256:2", values={"bridge": bridge})
     assert told(BEFORE, after) == [
         ("bridge.topics[0].depth", "10", "1000"),
         ("bridge.topics[1].name", None, '"/list"'),
         ("extra", "{}", None),
-        ("version", '"0.1.2"', '"0.2.2"'),
+        ("version", '"0.1.2"', '"0.2.3"'),
     ]
 
 

@@ -137,8 +137,8 @@ def test_it_stays_refused_without_being_rendered_again_until_its_inputs_change(s
     images.asked.clear()
     stage.go(10)
     assert (accepted(stage, key)[1], images.asked) == ("ImageNotVerified", [])
-    path = "charts/event-detector/0.2.2.yaml"
-    stage.publish_again("event-detector", "0.2.2", [IMAGE, FOREIGN])
+    path = "charts/event-detector/0.2.3.yaml"
+    stage.publish_again("event-detector", "0.2.3", [IMAGE, FOREIGN])
     assert path in stage.catalogue.trees[stage.catalogue.tip]
     stage.go(wake=CATALOGUE)
     assert stage.tasks.condition(key, "Committed") == ("True", "Merged")

@@ -29,7 +29,7 @@ from tests.stages.ros.lidar_clouds import cloud
 
 pytestmark = pytest.mark.thorough
 
-CHART, SOURCE, SILENT, ENDING, GOOD = "object-detection", "0.2.2", "0.2.20", "0.2.21", "0.2.22"
+CHART, SOURCE, SILENT, ENDING, GOOD = "object-detection", "0.2.3", "0.2.20", "0.2.21", "0.2.22"
 VEHICLE = "vehicle-01"  # other tests leave versions behind that end on vehicle-02
 RELEASE = f"{VEHICLE}/{CHART}-{VEHICLE}"
 BRIDGE = f"{VEHICLE}/mqtt-bridge"
@@ -111,7 +111,7 @@ def next_version(folder: Path, last: str, version: str, runs: str, skipped: str 
         SOURCE,
         version,
         (f"version: {SOURCE}\n", f"version: {version}\n{SUCCESS}"),
-        ("replaces: 0.2.1\n", f"replaces: {runs}\n"),
+        ("replaces: 0.2.2\n", f"replaces: {runs}\n"),
         ("skips: [0.1.2]", f"skips: [0.1.2{way}{skipped}]"),
     )
 

@@ -26,7 +26,7 @@ from tests.stages.platform.table_one import Stage
 
 pytestmark = pytest.mark.thorough
 
-CHART, GOOD, BAD, MEASURED = "object-detection", "0.2.2", "0.2.5", "0.2.6"
+CHART, GOOD, BAD, MEASURED = "object-detection", "0.2.3", "0.2.5", "0.2.6"
 WATCHED_RULE = "field-trial"
 VEHICLES = ("vehicle-00", "vehicle-01", "vehicle-02")
 RELEASES = [f"{vehicle}/{CHART}-{vehicle}" for vehicle in VEHICLES]
@@ -55,7 +55,7 @@ def bad_version(folder: Path) -> None:
         GOOD,
         BAD,
         (f"version: {GOOD}", f"version: {BAD}"),
-        ("replaces: 0.2.1", f"replaces: {GOOD}"),
+        ("replaces: 0.2.2", f"replaces: {GOOD}"),
         (f"images: [{IMAGE}]", f"images: [{IMAGE}, {OTHER}]"),
     )
 
@@ -90,7 +90,7 @@ def late_version(folder: Path) -> None:
         GOOD,
         LATE,
         (f"version: {GOOD}", f"version: {LATE}"),
-        ("replaces: 0.2.1", f"replaces: {MEASURED}"),
+        ("replaces: 0.2.2", f"replaces: {MEASURED}"),
         ("skips: [", f"skips: [{BAD}, {GOOD}, "),
         (f"images: [{IMAGE}]", f"images: [{IMAGE}, {OTHER}]"),
     )

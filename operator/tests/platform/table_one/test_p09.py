@@ -43,7 +43,7 @@ def test_requirements_meet_guarantees(stage: Stage) -> None:
     impossible = asked(stage, "p09-impossible", "vehicle-02", IMPOSSIBLE)
     releases = ["cloud-0/object-detection-vehicle-00", "cloud-0/object-detection-vehicle-01"]
     stage.await_running(*releases)
-    assert [stage.annotation(release, "chart-version") for release in releases] == ["0.1.2", "0.2.2"]
+    assert [stage.annotation(release, "chart-version") for release in releases] == ["0.1.2", "0.2.3"]
     assert [stage.releases_of(key) for key in (exact, fast)] == [{releases[0]}, {releases[1]}]
     assert len({stage.annotation(release, "chart-digest") for release in releases}) == 2
     refusal = stage.await_reason(impossible, "GuaranteeNotMet")

@@ -168,7 +168,7 @@ def test_composed_values_fit_the_charts(path: str) -> None:
 
 def test_every_chart_is_used() -> None:
     assert {release.chart for release in RELEASES.values()} == {path.parent.name for path in CHARTS}
-    assert {release.version for release in RELEASES.values() if release.chart.startswith("object-")} == {"0.2.2"}
+    assert {release.version for release in RELEASES.values() if release.chart.startswith("object-")} == {"0.2.3"}
     assert sorted(release.key for release in RELEASES.values()) == [
         "cloud-0/event-detector",
         "cloud-0/intersection-operator",

@@ -84,7 +84,7 @@ def test_what_a_guarantee_is_worth(bound: str, number: float, unit: str, verifie
 def test_find() -> None:
     assert [(e["kind"], e.get("version", "")) for e in find(ENTRIES, "mqtt-bridge")] == [
         ("application", ""),
-        ("chart", "0.2.2"),
+        ("chart", "0.2.3"),
     ]
     assert [e["kind"] for e in find(ENTRIES, "mqtt-bridge@0.1.2")] == ["chart"]
     assert find(ENTRIES, "mqtt-bridge@0.1.2")[0]["guarantees"][0]["status"] == "declared"

@@ -138,7 +138,7 @@ def test_all_mistakes_come_at_once(few: Path) -> None:
         assert sum(wanted in text for text in found) == 1, found
 
 
-DETECTOR = "registry/charts/event-detector/0.2.2.yaml"
+DETECTOR = "registry/charts/event-detector/0.2.3.yaml"
 
 
 def test_a_wrong_key_hides_only_what_depends_on_it(few: Path) -> None:
@@ -199,10 +199,10 @@ def test_a_wrong_key_of_an_entry_hides_neither_its_templates_nor_what_others_ask
     found = [(Path(one.file).name, one.key) for one in findings(few, charts=True)]
     assert found == [
         ("pose-point-cloud-recording.yaml", "spec.services[0].chart.version"),
-        ("0.2.2.yaml", "spec.interfaces[0].name"),
-        ("0.2.2.yaml", "spec.replaces"),
-        ("0.2.2.yaml", "spec.interfaces[0].topic"),
-        ("0.2.2.yaml", "spec.images"),
+        ("0.2.3.yaml", "spec.interfaces[0].name"),
+        ("0.2.3.yaml", "spec.replaces"),
+        ("0.2.3.yaml", "spec.interfaces[0].topic"),
+        ("0.2.3.yaml", "spec.images"),
     ]
 
 
@@ -212,7 +212,7 @@ def test_values_are_compared_with_a_chart_whose_entry_cannot_be_read(few: Path) 
     found = [(Path(one.file).name, one.key) for one in findings(few, charts=True)]
     assert found == [
         ("pose-point-cloud-recording.yaml", "spec.services[0].values.detector"),
-        ("0.2.2.yaml", "document"),
+        ("0.2.3.yaml", "document"),
     ]
 
 
@@ -241,7 +241,7 @@ def test_a_pattern_is_tried_with_texts_that_fit_it(few: Path) -> None:
 def test_a_broken_file_does_not_make_others_dangle(few: Path) -> None:
     (few / BRIDGE).write_text("a: b\n")
     (few / "registry" / "applications" / "mqtt-bridge.yaml").write_text("a: b\n")
-    assert {Path(f.file).name for f in findings(few)} == {"0.2.2.yaml", "mqtt-bridge.yaml"}
+    assert {Path(f.file).name for f in findings(few)} == {"0.2.3.yaml", "mqtt-bridge.yaml"}
 
 
 def test_a_folder_that_is_none(tmp_path: Path) -> None:
@@ -250,14 +250,14 @@ def test_a_folder_that_is_none(tmp_path: Path) -> None:
 
 
 def test_five_hundred_versions(folder: Path) -> None:
-    text = (folder / BRIDGE).read_text().replace("\n  replaces: 0.2.1\n  skips: [0.1.2]", "")
+    text = (folder / BRIDGE).read_text().replace("\n  replaces: 0.2.2\n  skips: [0.1.2]", "")
     for chart in range(50):
         place = folder / "registry" / "charts" / f"chart-{chart:02d}"
         place.mkdir()
         for number in range(10):
             before = f"\n  replaces: 0.{number - 1}.0" if number else ""
             named = text.replace("name: mqtt-bridge", f"name: {place.name}")
-            changed = named.replace("version: 0.2.2", f"version: 0.{number}.0{before}")
+            changed = named.replace("version: 0.2.3", f"version: 0.{number}.0{before}")
             (place / f"0.{number}.0.yaml").write_text(changed)
     began = time.process_time()
     assert findings(folder) == []

@@ -50,7 +50,7 @@ def test_sets_fit_the_charts_schema_and_give_different_topics(path: Path) -> Non
 
 
 def test_the_player_is_ordered_a_run_as_it_reads_one() -> None:
-    (first, second) = filled_sets(loaded(REPOSITORY / "registry/charts/bag-player/0.1.2.yaml"), "cloud-0", 42, render)
+    (first, second) = filled_sets(loaded(REPOSITORY / "registry/charts/bag-player/0.1.3.yaml"), "cloud-0", 42, render)
     assert (first.config_maps, second.config_maps) == (
         {"simulation": {"run": "suite-first", "start": "42"}},
         {"simulation": {"run": "suite-second", "start": "42"}},

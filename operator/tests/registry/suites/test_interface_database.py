@@ -47,7 +47,7 @@ def objects(values: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
 
 
 def subject_of(entry: Mapping[str, Any]) -> Subject:
-    artefact = Artefact("event-detector", "0.2.2", "sha256:" + "0" * 64, "linux/amd64")
+    artefact = Artefact("event-detector", "0.2.3", "sha256:" + "0" * 64, "linux/amd64")
     files = {"values.yaml": (CHART / "values.yaml").read_bytes()}
     return Subject(artefact, entry, files, b"", {"ros": "ros@sha256:0"}, objects)
 
@@ -59,7 +59,7 @@ def checks_of(entry: Mapping[str, Any], namespace: LocalTestNamespace, bounds: O
 
 
 def entry() -> dict[str, Any]:
-    return dict(yaml.safe_load((REPOSITORY / "registry/charts/event-detector/0.2.2.yaml").read_text()))
+    return dict(yaml.safe_load((REPOSITORY / "registry/charts/event-detector/0.2.3.yaml").read_text()))
 
 
 def test_every_watched_topic_is_recorded(namespace: LocalTestNamespace) -> None:

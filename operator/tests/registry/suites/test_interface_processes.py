@@ -96,7 +96,7 @@ def said(checks: list[Check]) -> str:
 
 def test_the_bridge_is_what_its_entry_declares(namespace: LocalTestNamespace) -> None:
     chart = REPOSITORY / "charts" / "apps" / "mqtt-bridge"
-    entry = yaml.safe_load((REPOSITORY / "registry/charts/mqtt-bridge/0.2.2.yaml").read_text())
+    entry = yaml.safe_load((REPOSITORY / "registry/charts/mqtt-bridge/0.2.3.yaml").read_text())
     checks = list(suite().run(subject(chart, entry, bridge_objects), namespace))
     assert said([check for check in checks if not check.passed]) == ""
     names = {check.name for check in checks}
@@ -109,7 +109,7 @@ def test_the_bridge_is_what_its_entry_declares(namespace: LocalTestNamespace) ->
 def test_a_bridge_with_another_entry_is_refused(namespace: LocalTestNamespace) -> None:
     """Qualities, the type inside the frames, a topic that is not declared, at the broker."""
     chart = REPOSITORY / "charts" / "apps" / "mqtt-bridge"
-    entry = yaml.safe_load((REPOSITORY / "registry/charts/mqtt-bridge/0.2.2.yaml").read_text())
+    entry = yaml.safe_load((REPOSITORY / "registry/charts/mqtt-bridge/0.2.3.yaml").read_text())
     interfaces = {item["name"]: item for item in entry["spec"]["interfaces"]}
     interfaces["mqtt-out"] |= {"type": "nav_msgs/msg/Odometry", "qos": {"qos": 0, "retain": True}}
     interfaces["mqtt-in"] |= {"topic": "other{{ topic.name }}", "qos": {"qos": 2, "retain": False}}
@@ -137,7 +137,7 @@ def player_objects(values: Mapping[str, Any], name: str) -> list[dict[str, Any]]
 @pytest.mark.thorough
 def test_the_player_opens_the_topics_of_a_bag_of_its_own_image(namespace: LocalTestNamespace) -> None:
     chart = REPOSITORY / "charts" / "apps" / "bag-player"
-    entry = yaml.safe_load((REPOSITORY / "registry/charts/bag-player/0.1.2.yaml").read_text())
+    entry = yaml.safe_load((REPOSITORY / "registry/charts/bag-player/0.1.3.yaml").read_text())
     checks = list(suite().run(subject(chart, entry, player_objects), namespace))
     assert said([check for check in checks if not check.passed]) == ""
     names = {check.name for check in checks}
@@ -154,7 +154,7 @@ OLDER: dict[str, dict[str, Any]] = {"object-detection": {"method": "size"}, "obj
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(("place", "version"), [("apps", "0.2.2"), ("earlier", "0.1.2")])
+@pytest.mark.parametrize(("place", "version"), [("apps", "0.2.3"), ("earlier", "0.1.2")])
 @pytest.mark.parametrize("name", PERCEPTION)
 def test_perception_is_what_its_entry_declares(
     namespace: LocalTestNamespace, name: str, place: str, version: str
@@ -316,7 +316,7 @@ def restarting(render: Render) -> Render:
 @pytest.mark.thorough
 @pytest.mark.parametrize(
     ("name", "version", "render"),
-    [("mqtt-bridge", "0.2.2", bridge_objects), ("bag-player", "0.1.2", restarting(player_objects))],
+    [("mqtt-bridge", "0.2.3", bridge_objects), ("bag-player", "0.1.3", restarting(player_objects))],
 )
 def test_packaged_charts_take_changed_settings(
     namespace: LocalTestNamespace, name: str, version: str, render: Render

@@ -30,7 +30,7 @@ from tests.stages.registry.publications import write_sources
 pytestmark = pytest.mark.toolchain
 
 CHART = "mqtt-bridge"
-ENTRY = yaml.safe_load((REPOSITORY / "registry" / "charts" / CHART / "0.2.2.yaml").read_text(encoding="utf-8"))
+ENTRY = yaml.safe_load((REPOSITORY / "registry" / "charts" / CHART / "0.2.3.yaml").read_text(encoding="utf-8"))
 IMAGES = chart_images.all_as("forge.robotkube.svc.cluster.local:3000/robotkube/image@sha256:" + "0" * 64)
 RULE = SuiteRule("static", StaticSuite.version, 60)
 
@@ -55,7 +55,7 @@ def request_(gate_registry: OciRegistry) -> SuiteRequest:
     digest = gate_registry.push_chart(
         "staging", pack(REPOSITORY / "charts" / "apps" / CHART, IMAGES, ENTRY["spec"]), "suite"
     )
-    artefact = Artefact(CHART, "0.2.2", digest, "linux/amd64")
+    artefact = Artefact(CHART, "0.2.3", digest, "linux/amd64")
     return SuiteRequest(artefact, f"staging/{CHART}", "sha256:" + "0" * 64, RULE, ENTRY)
 
 

@@ -29,7 +29,7 @@ PARAMETERS: Document = {
 def differences(agents: list[str]) -> Document:
     values = [
         {"release": f"cloud-0/recorder-{agents[0]}", "path": path, "before": None, "after": after}
-        for path, after in (("chart", '"event-detector"'), ("version", '"0.2.2"'))
+        for path, after in (("chart", '"event-detector"'), ("version", '"0.2.3"'))
     ]
     for name in agents:
         release, path = f"{name}/mqtt-bridge", "bridge.topics[2].name"
@@ -70,7 +70,7 @@ def explanation(question: Document) -> Document:
     if "withdraw" in question:
         lines = [
             f"{question['withdraw']} would be withdrawn",
-            "stops cloud-0/recorder-vehicle-00 (event-detector 0.2.2)",
+            "stops cloud-0/recorder-vehicle-00 (event-detector 0.2.3)",
         ]
         change = {"path": "releases/cloud-0/recorder-vehicle-00.yaml", "before": "kind: HelmRelease\n", "after": None}
         said = {
@@ -95,8 +95,8 @@ def explanation(question: Document) -> Document:
     lines = [
         f"{key} is accepted; its releases: {release}",
         "recorder: cloud-0, which records and has 2 CPUs free",
-        f"starts {release} (event-detector 0.2.2)",
-        "changes vehicle-00/mqtt-bridge (mqtt-bridge 0.2.2)",
+        f"starts {release} (event-detector 0.2.3)",
+        "changes vehicle-00/mqtt-bridge (mqtt-bridge 0.2.3)",
     ]
     accepted = {"outcome": "Accepted", "reason": "Accepted", "message": "", "releases": [release]}
     return {"task": key, **accepted, "waits": "vehicle-01 until 10:00 (driving)", "lines": lines, "changes": changes}

@@ -74,8 +74,8 @@ CATALOGUE = {
     "README.md": "catalogue\n",
     **policies(),
     **applications(),
-    **published_chart("mqtt-bridge", "0.2.2", DIGESTS["mqtt-bridge"]),
-    **published_chart("event-detector", "0.2.2", DIGESTS["event-detector"]),
+    **published_chart("mqtt-bridge", "0.2.3", DIGESTS["mqtt-bridge"]),
+    **published_chart("event-detector", "0.2.3", DIGESTS["event-detector"]),
     **unproved_chart("event-detector", "0.0.9", DIGESTS["old"], "withdrawn"),
 }
 EVIDENCE = {
@@ -344,7 +344,7 @@ def release_files(made_by: str, name: str = "recorder", **changes: Any) -> dict[
             "namespace": "cloud-0",
             "name": name,
             "chart": "event-detector",
-            "version": "0.2.2",
+            "version": "0.2.3",
             "digest": DIGESTS["event-detector"],
             "values": {"placement": {"agent": "cloud-0"}},
             "causes": (CAUSE,),
@@ -359,7 +359,7 @@ def release_files(made_by: str, name: str = "recorder", **changes: Any) -> dict[
 
 def message(plan: str, **changes: Any) -> str:
     """The commit message that goes with `release_files`."""
-    chart = ChartReference("event-detector", "0.2.2", DIGESTS["event-detector"])
+    chart = ChartReference("event-detector", "0.2.3", DIGESTS["event-detector"])
     fields = {
         "verb": "deploy",
         "area": "recording",

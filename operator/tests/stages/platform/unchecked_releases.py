@@ -14,7 +14,7 @@ from tests.stages.platform.running_platform import Platform, Writer
 AGENT, PLAN = "vehicle-02", "20261121-100000-abcdef"
 CHARTS = "oci://forge.robotkube.svc.cluster.local:3000/verified"
 REFUSED_SECONDS_MAX = 90.0
-VERSION = "0.2.2"
+VERSION = "0.2.3"
 NAMES = ("everything", "foreign", "unknown")
 CONFIGMAP = """
 apiVersion: v1

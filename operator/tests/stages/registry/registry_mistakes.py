@@ -14,7 +14,7 @@ from robotkube.foundation.documents.core.yaml_codec import write_mapping
 
 RECORDING = "registry/applications/pose-point-cloud-recording.yaml"
 PROXIMITY = "registry/applications/proximity-operator.yaml"
-BRIDGE = "registry/charts/mqtt-bridge/0.2.2.yaml"
+BRIDGE = "registry/charts/mqtt-bridge/0.2.3.yaml"
 RELEASE = "registry/policies/release.yaml"
 SERVICE = "spec.services[0]"
 REACTION = f"{SERVICE}.values.detector.reactions[0]"
@@ -148,7 +148,7 @@ FILES = [
         put(BRIDGE, "kind", "ChartVersion", to="registry/charts/mqtt-bridge/0.1.9.yaml"),
         "registry/charts/mqtt-bridge/0.1.9.yaml",
         "path",
-        "holds the same as charts/mqtt-bridge/0.2.2.yaml",
+        "holds the same as charts/mqtt-bridge/0.2.3.yaml",
     ),
 ]
 
@@ -187,7 +187,7 @@ REFERENCES = [
         put(RECORDING, f"{SERVICE}.chart.version", ">=3.0.0"),
         RECORDING,
         f"{SERVICE}.chart.version",
-        "(there are 0.1.2, 0.2.2); widen the range",
+        "(there are 0.1.2, 0.2.3); widen the range",
     ),
     Mistake(
         "capability",
@@ -233,7 +233,7 @@ REFERENCES = [
     ),
     Mistake(
         "cycle",
-        both(version("0.3.0", replaces="0.2.2"), put(BRIDGE, "spec.replaces", "0.3.0")),
+        both(version("0.3.0", replaces="0.2.3"), put(BRIDGE, "spec.replaces", "0.3.0")),
         BRIDGE,
         "spec.replaces",
         "part of a cycle of upgrades with 0.3.0",
@@ -243,21 +243,21 @@ REFERENCES = [
         version("0.3.0"),
         BRIDGE,
         "spec.version",
-        "no way of upgrades leads from 0.2.2 to 0.3.0, the newest version of channel stable",
+        "no way of upgrades leads from 0.2.3 to 0.3.0, the newest version of channel stable",
     ),
     Mistake(
         "replaces nothing",
-        version("0.3.0", replaces="0.2.2", skips=["0.1.5"]),
+        version("0.3.0", replaces="0.2.3", skips=["0.1.5"]),
         "registry/charts/mqtt-bridge/0.3.0.yaml",
         "spec.skips",
-        "there is no version 0.1.5 of mqtt-bridge (there are 0.2.2, 0.3.0)",
+        "there is no version 0.1.5 of mqtt-bridge (there are 0.2.3, 0.3.0)",
     ),
     Mistake(
         "backwards",
         both(version("0.3.0"), put(BRIDGE, "spec.skips", ["0.3.0"])),
         BRIDGE,
         "spec.skips",
-        "0.3.0 is not older than 0.2.2",
+        "0.3.0 is not older than 0.2.3",
     ),
 ]
 
@@ -454,10 +454,10 @@ CHARTS = [
     ),
     Mistake(
         "version of the chart",
-        swap("charts/mqtt-bridge/Chart.yaml", "\nversion: 0.2.2", "\nversion: 0.4.0"),
+        swap("charts/mqtt-bridge/Chart.yaml", "\nversion: 0.2.3", "\nversion: 0.4.0"),
         "charts/mqtt-bridge/Chart.yaml",
         "version",
-        "0.4.0 has no entry in the catalogue (entries: 0.2.2)",
+        "0.4.0 has no entry in the catalogue (entries: 0.2.3)",
     ),
     Mistake(
         "schema of the chart",

@@ -14,7 +14,7 @@ from typing import Any
 from robotkube.cli.agents.joining import token_ends
 from robotkube.cli.forge_access import REPOSITORY, forge_account, reaching
 from robotkube.cli.output import Table
-from robotkube.cli.platform import AGENT_LABEL, Platform
+from robotkube.cli.platform import Platform
 from robotkube.delivery.certificates.core import register as registers
 from robotkube.delivery.deployment.core.releases import RELEASES, Release, read_tree
 from robotkube.delivery.rights.core.accounts import Accounts, AgentAccount
@@ -25,6 +25,7 @@ from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.documents.core.times import time_text
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.forge.adapters.git import GitHistory, fetch_history
+from robotkube.foundation.kubernetes.core.node_agents import TRIAL_MEANS, node_agents, shared_nodes
 
 READER = "argocd"  # which reads the repository and nothing else
 OPEN, REVOKED, RESERVED = "open", "revoked", "reserved"
@@ -33,6 +34,7 @@ COLUMNS = (
     *("agent", "role", "declared", "account", "reason", "by", "commit", "nodes", "ready", "seen"),
     *("kubelet", "releases", "certificate_until", "join_until"),
 )
+TRIAL = ("node", "agents", "trial")
 
 Document = Mapping[str, Any]
 
@@ -78,7 +80,8 @@ def list_agents(options: argparse.Namespace) -> Table:
     """List agents: where they are declared, whether main lets their accounts in, their Nodes, and what runs there. Who
     is connected just now the broker does not tell; a Node's lease says when its machine was heard of last.
     `certificate_until` is when the certificate ends that proves the account, where accounts have any and it is not
-    revoked; `join_until` when the token of a file ends that nobody needs any more once the Node is there."""
+    revoked; `join_until` when the token of a file ends that nobody needs any more once the Node is there. Nodes that
+    are several agents' follow, with what that means."""
     platform = Platform(options)
     accounts = declared(platform)
     with history(options) as main:
@@ -87,7 +90,8 @@ def list_agents(options: argparse.Namespace) -> Table:
     said = OfMain(revocations(commits), enrollments(commits), _versions(read_tree(files).releases.values()))
     nodes, leases = platform.agent_nodes(), platform.node_leases()
     ends = Ends(token_ends(platform), registers.read(platform.certificate_register()).ends())
-    return Table("agents", COLUMNS, rows(accounts.agents, said, nodes, leases, ends))
+    shared = Table("shared_nodes", TRIAL, shared_rows(nodes))
+    return Table("agents", COLUMNS, rows(accounts.agents, said, nodes, leases, ends), more=(shared,))
 
 
 @dataclass(frozen=True)
@@ -120,7 +124,7 @@ def rows(
     heard = {one["metadata"]["name"]: str(one.get("spec", {}).get("renewTime") or "") for one in leases}
     listed: list[Document] = []
     for agent in sorted(agents, key=lambda one: one.name):
-        own = [node for node in nodes if node["metadata"]["labels"][AGENT_LABEL] == agent.name]
+        own = [node for node in nodes if agent.name in _owners(node)]
         seen = max((heard.get(node["metadata"]["name"], "") for node in own), default="")
         row = {
             **{"agent": agent.name, "role": agent.role, "namespace": agent.namespace, **_account(said, agent)},
@@ -132,6 +136,16 @@ def rows(
         }
         listed.append(row)
     return listed
+
+
+def shared_rows(nodes: Iterable[Document]) -> list[Document]:
+    """A row for each Node that is several agents', which is trial mode."""
+    shared = shared_nodes((node["metadata"]["name"], node["metadata"].get("labels") or {}) for node in nodes)
+    return [{"node": node, "agents": list(agents), "trial": TRIAL_MEANS} for node, agents in shared.items()]
+
+
+def _owners(node: Document) -> list[str]:
+    return [one.name for one in node_agents(node["metadata"].get("labels") or {})]
 
 
 def _time(seconds: float | None) -> str:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from robotkube.delivery.manager.adapters.pod_states import read_pod, read_time_ns
+from robotkube.foundation.kubernetes.core.node_agents import NodeAgent, node_agents, trial_words
 from robotkube.foundation.kubernetes.core.objects import object_key
 
-AGENT_LABEL, ROLE_LABEL = "robotkube.io/agent", "robotkube.io/role"
 PLATFORM_ROLE = "platform"
 
 
@@ -27,11 +27,11 @@ class PodLook:
 
 @dataclass(frozen=True)
 class NodeLook:
-    """One look at an agent's Node: `since` when it is as it is (ns since 1970); `silent`: its kubelet says nothing."""
+    """One look at a Node and its `agents`: `since` when it is as it is (ns since 1970); `silent`: its kubelet says
+    nothing."""
 
     name: str
-    agent: str
-    role: str
+    agents: tuple[NodeAgent, ...]
     ready: bool
     silent: bool
     since: int | None
@@ -78,8 +78,7 @@ def look_at_node(item: Mapping[str, Any]) -> NodeLook:
     ready = conditions[0] if conditions else {}
     return NodeLook(
         item["metadata"]["name"],
-        labels.get(AGENT_LABEL, ""),
-        labels.get(ROLE_LABEL, ""),
+        node_agents(labels),
         ready.get("status") == "True",
         ready.get("status", "Unknown") == "Unknown",
         read_time_ns(ready.get("lastTransitionTime")),
@@ -89,21 +88,24 @@ def look_at_node(item: Mapping[str, Any]) -> NodeLook:
 def rows(nodes: Iterable[NodeLook], pods: Iterable[PodLook]) -> list[AgentRow]:
     """The agents, those that somebody should look at first, then by name; what carries the platform is no agent."""
     by_agent: dict[str, list[NodeLook]] = {}
+    roles: dict[str, str] = {}
     for node in nodes:
-        if node.role != PLATFORM_ROLE:
-            by_agent.setdefault(node.agent, []).append(node)
+        for agent in node.agents:
+            if agent.role != PLATFORM_ROLE:
+                roles.setdefault(agent.name, agent.role)
+                by_agent.setdefault(agent.name, []).append(node)
     by_namespace: dict[str, list[PodLook]] = {}
     for pod in pods:
         by_namespace.setdefault(pod.key.partition("/")[0], []).append(pod)
-    agents = [_row(agent, of_agent, by_namespace.get(agent, [])) for agent, of_agent in by_agent.items()]
+    agents = [_row(agent, roles[agent], own, by_namespace.get(agent, [])) for agent, own in by_agent.items()]
     return sorted(agents, key=lambda row: (row.is_fine, row.agent))
 
 
-def _row(agent: str, nodes: list[NodeLook], pods: list[PodLook]) -> AgentRow:
+def _row(agent: str, role: str, nodes: list[NodeLook], pods: list[PodLook]) -> AgentRow:
     away = [node for node in nodes if not node.ready]
     return AgentRow(
         agent,
-        nodes[0].role,
+        role,
         any(node.silent for node in away),
         not away,
         min((node.since for node in away if node.since), default=None),
@@ -111,3 +113,9 @@ def _row(agent: str, nodes: list[NodeLook], pods: list[PodLook]) -> AgentRow:
         len(pods),
         tuple(sorted({pod.release for pod in pods if pod.release})),
     )
+
+
+def trial(nodes: Iterable[NodeLook]) -> str:
+    """What has to be said where Nodes are several agents'; empty where none is."""
+    named = {node.name: [agent.name for agent in node.agents] for node in nodes if len(node.agents) > 1}
+    return trial_words(dict(sorted(named.items())))

@@ -31,6 +31,8 @@ def view(picture: PlatformPicture, now_ns: int, lines: int) -> RenderableType:
         return Text("the platform is being read", style="dim")
     agents = fleet.rows(picture.nodes.values(), picture.pods.values())
     parts: list[RenderableType] = [_heading(picture, agents, now_ns)]
+    if words := fleet.trial(picture.nodes.values()):
+        parts.append(Text(printable(words), style="yellow", overflow="fold"))
     if picture.problem:
         parts.append(Text(printable(f"what is shown may be old: {picture.problem}"), style="bold red", overflow="fold"))
     shown = agents[: max(AGENTS_MIN, lines - LINES_BESIDE_FLEET)]

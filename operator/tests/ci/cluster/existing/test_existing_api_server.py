@@ -103,6 +103,26 @@ def test_what_was_added_goes_and_every_object_is_as_before(api: Api, given: Give
     assert cluster.down() == ()
 
 
+def test_agents_that_share_nodes_leave_nothing_either(api: Api, given: GivenCluster) -> None:
+    guest = {"node": "given-2", "role": "vehicle", "agent": "vehicle-01", "capabilities": ["lidar"]}
+    given.agents.write_text(yaml.safe_dump({"trial": True, "agents": [*AGENTS["agents"], guest]}))
+    before = everything(api)
+    cluster = Existing(given)
+    assert len(cluster.take()) == 2
+    assert labels(api, "given-2")["agent.robotkube.io/vehicle-01"] == "1"
+    assert [(node.name, node.agent, node.guest) for node in cluster.nodes()] == [
+        ("given-1", "platform", 0),
+        ("given-2", "vehicle-00", 0),
+        ("given-2", "vehicle-01", 1),
+    ]
+    said = "trial mode: agents share Nodes (Node given-2 is vehicle-00, vehicle-01)"
+    assert said in cluster.status()
+    assert said in cluster.lacks[-1]
+    assert cluster.take() == ()
+    cluster.down()
+    assert everything(api) == before
+
+
 def test_nothing_is_written_until_somebody_agrees(api: Api, given: GivenCluster) -> None:
     before, asked = everything(api), []
 

@@ -80,7 +80,8 @@ def test_the_chart_is_told_agents_registry_and_what_the_file_says(cluster: Exist
 def test_agents_of_a_scenario_that_have_no_node_are_named(cluster: Existing, wanted: Topology) -> None:
     with pytest.raises(InputError, match=r"agents.yaml: the scenario needs Nodes of vehicle-00 \(role vehicle, capab"):
         cluster.up(wanted, ())
-    mapping.require_agents(cluster._entries(), Topology(tuple(n for n in wanted.nodes if n.role != "vehicle")))
+    others = Topology(tuple(n for n in wanted.nodes if n.role != "vehicle"))
+    mapping.require_agents(cluster._agents().entries, others)
 
 
 def test_without_a_registry_there_is_no_installation(cluster: Existing, wanted: Topology, tmp_path: Path) -> None:

@@ -11,11 +11,12 @@ import pytest
 import yaml
 
 from ci.cluster.kind import provider
-from ci.cluster.kind.configuration import configuration
+from ci.cluster.kind.configuration import WORKERS, configuration, shared_out
 from ci.cluster.kind.provider import KindCluster
 from ci.cluster_contract import topology
 from ci.cluster_contract.topology import Topology
 from ci.errors import InputError, SetUpError
+from robotkube.foundation.kubernetes.core.node_agents import node_agents
 from tests.stages.paths import SCENARIOS
 from tests.stages.registry.built_images import built_image
 
@@ -51,6 +52,7 @@ def asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Asked:
     monkeypatch.setenv("PATH", str(program.parent), prepend=":")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv(provider.NODE_IMAGE, raising=False)
+    monkeypatch.delenv(WORKERS, raising=False)
     monkeypatch.setattr(KindCluster, "_ready", lambda _: True)
 
     def words() -> list[str]:
@@ -68,12 +70,53 @@ def nodes(vehicles: int) -> Topology:
 
 @pytest.mark.parametrize("version_1", [False, True])
 def test_each_node_of_a_scenario_is_a_worker_with_its_labels(version_1: bool) -> None:
-    document = yaml.safe_load(configuration(nodes(2), version_1))
+    document = yaml.safe_load(configuration(shared_out(nodes(2), ""), version_1))
     control, *workers = document["nodes"]
     assert control == {"role": "control-plane"}
     assert [one["labels"] for one in workers] == [node.labels for node in nodes(2).nodes]
     assert document["networking"] == {"podSubnet": "10.72.0.0/16", "serviceSubnet": "10.73.0.0/16"}
     assert ("kubeadmConfigPatches" in document) == version_1
+
+
+def test_two_workers_are_platform_and_cloud_and_all_others() -> None:
+    document = yaml.safe_load(configuration(shared_out(nodes(3), "2"), False))
+    _, first, second = document["nodes"]
+    assert [one.name for one in node_agents(first["labels"])] == ["cloud-0", "platform-0"]
+    vehicles = node_agents(second["labels"])
+    assert [(one.name, one.guest) for one in vehicles] == [("vehicle-00", 0), ("vehicle-01", 1), ("vehicle-02", 2)]
+    of_agents = {node.agent: node for node in nodes(3).nodes}
+    assert all(one.capabilities == set(of_agents[one.name].capabilities) for one in vehicles)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "workers"),
+    [
+        ("1", [["platform-0", "cloud-0", "vehicle-00", "vehicle-01", "vehicle-02"]]),
+        ("2", [["platform-0", "cloud-0"], ["vehicle-00", "vehicle-01", "vehicle-02"]]),
+        ("3", [["platform-0", "cloud-0"], ["vehicle-00"], ["vehicle-01", "vehicle-02"]]),
+        ("4", [["platform-0", "cloud-0"], ["vehicle-00"], ["vehicle-01"], ["vehicle-02"]]),
+        ("", [["platform-0"], ["cloud-0"], ["vehicle-00"], ["vehicle-01"], ["vehicle-02"]]),
+    ],
+)
+def test_nodes_of_a_scenario_are_shared_out_over_so_many_workers(wanted: str, workers: list[list[str]]) -> None:
+    assert [[node.name for node in own] for own in shared_out(nodes(3), wanted)] == workers
+
+
+@pytest.mark.parametrize("wanted", ["0", "5", "two", "-1"])
+def test_a_number_of_workers_that_cannot_be_is_refused_with_those_that_can(wanted: str) -> None:
+    with pytest.raises(
+        InputError, match=rf"KIND_WORKERS={wanted}: must be a whole number from 1 to 4 for these 5 nodes"
+    ):
+        shared_out(nodes(3), wanted)
+
+
+def test_another_number_of_workers_is_another_cluster(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
+    KindCluster().up(nodes(3), ())
+    monkeypatch.setenv(WORKERS, "2")
+    KindCluster().up(nodes(3), ())
+    assert asked() == ["create cluster", "delete cluster", "create cluster"]
+    KindCluster().up(nodes(3), ())
+    assert asked() == []
 
 
 def test_a_cluster_is_made_once_and_anew_for_other_nodes(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:

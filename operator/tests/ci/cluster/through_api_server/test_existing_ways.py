@@ -3,9 +3,11 @@ program of the test, which does on this machine what the real one does in a pod.
 
 from __future__ import annotations
 
+import json
 import socket
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -127,6 +129,15 @@ def test_a_bag_is_copied_once_and_replaced_by_another(volumes: PodVolumes, tmp_p
     assert [one.name for one in claim.iterdir()] == ["vehicle-00"]
     assert (claim / "vehicle-00" / "vehicle-00.mcap").read_text() == "a second one"
     assert not list((tmp_path / "w").rglob("*.tar"))
+
+
+def test_a_pod_with_a_claim_is_on_its_agents_node_as_host_or_guest(volumes: PodVolumes, tmp_path: Path) -> None:
+    chosen = []
+    for guests in ({}, {"vehicle-00": 2}):
+        replace(volumes, guests=guests).use([CLAIM])
+        [pod] = json.loads((tmp_path / "applied").read_text())["items"]
+        chosen.append(pod["spec"]["nodeSelector"])
+    assert chosen == [{"robotkube.io/agent": "vehicle-00"}, {"agent.robotkube.io/vehicle-00": "2"}]
 
 
 def test_files_are_copied_and_their_ends_read(volumes: PodVolumes, tmp_path: Path) -> None:

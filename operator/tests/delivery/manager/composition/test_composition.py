@@ -341,11 +341,11 @@ def test_a_new_chart_version_changes_its_releases_for_the_configuration() -> Non
     before = settle((), {})
     files = catalogue_files()
     newer = (
-        files["charts/mqtt-bridge/0.2.2.yaml"]
-        .replace("version: 0.2.2", "version: 0.2.3")
+        files["charts/mqtt-bridge/0.2.3.yaml"]
+        .replace("version: 0.2.3", "version: 0.2.4")
         .replace("sha256:0000", "sha256:1111")
     )
-    catalogue = read_catalogue({**files, "charts/mqtt-bridge/0.2.3.yaml": newer})
+    catalogue = read_catalogue({**files, "charts/mqtt-bridge/0.2.4.yaml": newer})
     assert catalogue.problems == ()
     made, _ = plan((), read_tree(before), catalogue=catalogue)
     assert made is not None

@@ -163,9 +163,9 @@ def test_an_entry_edited_to_verified_without_evidence_is_no_verified_version(
 ) -> None:
     """Somebody who may write the catalogue writes a newer version of the detector by hand, and withdraws the proved."""
     digest, version = "sha256:" + "d" * 64, "0.2.3"
-    proved = CATALOGUE["charts/event-detector/0.2.2.yaml"]
+    proved = CATALOGUE["charts/event-detector/0.2.3.yaml"]
     edited = unproved_chart("event-detector", version, digest)
-    edited["charts/event-detector/0.2.2.yaml"] = proved.replace("state: verified", "state: withdrawn")
+    edited["charts/event-detector/0.2.3.yaml"] = proved.replace("state: verified", "state: withdrawn")
     installation.publish(edited)
     try:
         manager.manager.wake(CATALOGUE_MOVED)
@@ -176,15 +176,15 @@ def test_an_entry_edited_to_verified_without_evidence_is_no_verified_version(
         assert manager.tasks.condition(KEY, "Accepted") == ("False", "NoVerifiedVersion")
         text = manager.tasks.objects[KEY]["status"]["conditions"][0]["message"]
         assert "event-detector 0.2.3 (verified): no valid evidence: suite static: there is no evidence" in text
-        assert "event-detector 0.2.2 (withdrawn): state withdrawn is not allowed" in text
+        assert "event-detector 0.2.3 (withdrawn): state withdrawn is not allowed" in text
         assert manager.tasks.reports == [(KEY, "NoVerifiedVersion", text)]
     finally:
         manager.tasks.delete(KEY)
         installation.publish(
             {
                 **dict.fromkeys(edited),
-                "charts/event-detector/0.2.2.yaml": proved,
-                "charts/event-detector/0.2.2.schema.json": CATALOGUE["charts/event-detector/0.2.2.schema.json"],
+                "charts/event-detector/0.2.3.yaml": proved,
+                "charts/event-detector/0.2.3.schema.json": CATALOGUE["charts/event-detector/0.2.3.schema.json"],
             }
         )
 

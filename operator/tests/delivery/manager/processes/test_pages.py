@@ -79,7 +79,7 @@ def test_reasons_and_evidence_of_a_plan_are_seen(
     assert headings == ["Asked", "Decided", "Changes", "Evidence"]
     assert "cloud-0/meeting asks for pose-point-cloud-recording (rule lidar-proximity, event 3f2a9c)" in page.text
     evidence = page.evaluate("[...document.querySelectorAll('.render-content li')].map(one => one.innerText)")
-    assert any("event-detector 0.2.2: passed" in line and "summary sha256:" in line for line in evidence)
+    assert any("event-detector 0.2.3: passed" in line and "summary sha256:" in line for line in evidence)
     assert "gate manually merged commit" in page.text
     page.open(f"{installation.url}/robotkube/deployment/pulls/{number}/files")
     page.photograph(PICTURES / "pull-request-files.png")

@@ -17,11 +17,12 @@ from robotkube.delivery.console.core import table as kinds
 from robotkube.delivery.console.core.documents import stranger_documents, task_document
 from robotkube.delivery.console.ports import BridgePod, Detector, ModelWriting
 from robotkube.delivery.inspection.core.strangers import PLURAL as INSPECTIONS
-from robotkube.delivery.manager.adapters.kubernetes_cluster import AGENT_LABEL, read_node
+from robotkube.delivery.manager.adapters.kubernetes_cluster import read_nodes
 from robotkube.delivery.tasks.core.task_description import GROUP, PLURAL, VERSION
 from robotkube.foundation.documents.core.json_codec import read_json_shortened
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.kubernetes.adapters.client import ResourceWatch, call
+from robotkube.foundation.kubernetes.core.node_agents import AGENT
 
 LOOK_SECONDS = 1.0
 ALWAYS_THERE = ("nodes", "tasks", "pods")  # Argo CD may be away, and nobody may inspect
@@ -54,8 +55,8 @@ class ClusterWatches:
         tasks = f"/apis/{GROUP}/{VERSION}/{PLURAL}"
         applications = f"/apis/argoproj.io/v1alpha1/namespaces/{argocd}/applications"
         inspections = f"/apis/{GROUP}/{VERSION}/namespaces/{platform}/{INSPECTIONS}"
-        self._nodes = ResourceWatch(api, "/api/v1/nodes", AGENT_LABEL, read_node, self._node_changed)
-        self._pods = ResourceWatch(api, "/api/v1/pods", AGENT_LABEL, read_shown_pod, self._pod_changed)
+        self._nodes = ResourceWatch(api, "/api/v1/nodes", AGENT, read_nodes, self._node_changed)
+        self._pods = ResourceWatch(api, "/api/v1/pods", AGENT, read_shown_pod, self._pod_changed)
         self._watches: Mapping[str, tuple[ResourceWatch, Sequence[str]]] = {
             "nodes": (self._nodes, (kinds.AGENTS,)),
             "tasks": (ResourceWatch(api, tasks, "", task_document, self._task_changed), (kinds.TASKS,)),
@@ -97,8 +98,8 @@ class ClusterWatches:
         return [pod["bridge"] for pod in self._pods.values().values() if pod["bridge"] is not None]
 
     def _node_changed(self, key: str, before: Any, now: Any) -> None:
-        nodes = list(self._nodes.values().values())
-        for name in {node.agent for node in (before, now) if node is not None}:
+        nodes = [state for states in self._nodes.values().values() for state in states]
+        for name in {node.agent for states in (before, now) if states is not None for node in states}:
             if name in self._agents:
                 self._model.put(kinds.AGENTS, name, agent_document(self._agents[name], nodes))
 

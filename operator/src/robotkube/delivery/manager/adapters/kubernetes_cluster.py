@@ -26,6 +26,7 @@ from robotkube.delivery.tasks.core.holds import node_hold
 from robotkube.delivery.tasks.core.task_description import GROUP, PLURAL, VERSION
 from robotkube.errors import UnavailableError
 from robotkube.foundation.kubernetes.adapters.client import CONFLICT, Object, ResourceWatch, send
+from robotkube.foundation.kubernetes.core.node_agents import AGENT, NodeAgent, node_agents
 from robotkube.foundation.kubernetes.core.objects import is_withdrawn
 from robotkube.writes import writes
 
@@ -35,9 +36,6 @@ CONDITIONS_MAX = 5
 CONDITION_CHARACTERS_MAX = 500
 TASKS_PATH = f"/apis/{GROUP}/{VERSION}/{PLURAL}"
 PODS_PATH = "/api/v1/pods"
-AGENT_LABEL = f"{GROUP}/agent"
-ROLE_LABEL = f"{GROUP}/role"
-CAPABILITY_PREFIX = f"{GROUP}/capability."
 PLAN_ANNOTATION = f"{GROUP}/plan"
 
 log = logging.getLogger(__name__)
@@ -67,10 +65,10 @@ class KubernetesCluster:
         self._tasks = [
             ResourceWatch(api, path, "", dict, self._task_changed) for path in _paths(TASKS_PATH, namespaces)
         ]
-        self._nodes = ResourceWatch(api, "/api/v1/nodes", AGENT_LABEL, read_node, self._node_changed)
+        self._nodes = ResourceWatch(api, "/api/v1/nodes", AGENT, read_nodes, self._node_changed)
         self._applications = ResourceWatch(api, applications, "", read_application, self._application_changed)
         self._pods = [
-            ResourceWatch(api, path, AGENT_LABEL, read_pod, self._pod_changed) for path in _paths(PODS_PATH, namespaces)
+            ResourceWatch(api, path, AGENT, read_pod, self._pod_changed) for path in _paths(PODS_PATH, namespaces)
         ]
         self._watches = (*self._tasks, self._nodes, self._applications, *self._pods)
 
@@ -166,8 +164,8 @@ class KubernetesCluster:
                 raise
 
     def nodes(self) -> Sequence[NodeState]:
-        """Nodes of agents."""
-        return list(self._nodes.values().values())
+        """Nodes of agents; one that is several agents' stands there for each of them."""
+        return [state for states in self._nodes.values().values() for state in states]
 
     def applications(self) -> Mapping[str, ApplicationState]:
         """Argo CD Applications by name."""
@@ -175,7 +173,7 @@ class KubernetesCluster:
 
     def pods(self, release: str) -> Sequence[PodState]:
         """Pods of a release."""
-        nodes = {node.name: node for node in self._nodes.values().values()}
+        nodes = {node.name: node for node in self.nodes()}
         now_ns = int(self._now() * 1e9)
         return [
             _with_node(pod, nodes.get(pod.node), now_ns)
@@ -235,37 +233,46 @@ def _demand(task: Object | None) -> Any:
     return metadata.get("uid"), metadata.get("generation"), metadata.get("deletionTimestamp")
 
 
+def read_nodes(item: Object) -> tuple[NodeState, ...]:
+    """A Node as each of its agents has it, the host first: of what it has for pods an equal part is each one's, so that
+    nothing is planned twice."""
+    agents = node_agents(item["metadata"].get("labels", {}))
+    return tuple(_node_of(agent, item, len(agents)) for agent in agents)
+
+
 def read_node(item: Object) -> NodeState:
-    """The Node; condition Ready `Unknown` means that its kubelet does not report."""
+    """A Node as its host has it."""
+    return read_nodes(item)[0]
+
+
+def _node_of(agent: NodeAgent, item: Object, parts: int) -> NodeState:
+    """The Node as one of `parts` agents has it; condition Ready `Unknown` means that its kubelet does not report."""
     metadata = item["metadata"]
     status = item.get("status", {})
-    labels = metadata.get("labels", {})
     ready: Object = next((c for c in status.get("conditions", []) if c["type"] == "Ready"), {})
     since = read_time_ns(ready.get("lastTransitionTime"))
     return NodeState(
         name=metadata["name"],
-        agent=labels.get(AGENT_LABEL, ""),
-        role=labels.get(ROLE_LABEL, ""),
-        capabilities=frozenset(
-            key.removeprefix(CAPABILITY_PREFIX)
-            for key, value in labels.items()
-            if key.startswith(CAPABILITY_PREFIX) and value == "true"
-        ),
+        agent=agent.name,
+        role=agent.role,
+        capabilities=agent.capabilities,
         ready=ready.get("status") == "True",
         cordoned=bool(item.get("spec", {}).get("unschedulable")),
-        hold=node_hold(labels.get(AGENT_LABEL, ""), metadata),
-        allocatable=_allocatable(status.get("allocatable", {})),
-        platform=_platform(labels),
+        hold=node_hold(agent.name, metadata),
+        allocatable=_allocatable(status.get("allocatable", {}), parts),
+        platform=_platform(metadata.get("labels", {})),
         ready_since=since if ready.get("status") == "True" else None,
         not_ready_since=since if ready.get("status") != "True" else None,
         silent_since=since if ready.get("status") == "Unknown" else None,
         created=read_time_ns(metadata.get("creationTimestamp")) or 0,
+        guest=agent.guest,
     )
 
 
-def _allocatable(given: Object) -> Resources | None:
-    """The resources that the node has for pods; None when the kubelet has not reported them yet."""
-    return read_resources(given) if "cpu" in given and "memory" in given else None
+def _allocatable(given: Object, parts: int) -> Resources | None:
+    """One of `parts` equal parts of the resources that the node has for pods; None when the kubelet has not reported
+    them yet."""
+    return read_resources(given).part(parts) if "cpu" in given and "memory" in given else None
 
 
 def _platform(labels: Object) -> str:

@@ -38,7 +38,7 @@ class UnknownAgents:
         text = (
             f"Node {node.name} says it is agent {node.agent!r}, which is not declared, so nothing is placed on it: "
             "declare it (charts/robotkube, values agents), enroll it where its name is reserved (robotkube agent "
-            "enroll), or correct the Node's label robotkube.io/agent"
+            "enroll), or correct the Node's label robotkube.io/agent (of a guest: agent.robotkube.io/NAME)"
         )
         try:
             self._cluster.report_on_node(node.name, UNKNOWN_AGENT, text)

@@ -11,9 +11,22 @@ from semver import Version
 from robotkube.delivery.preflight.core.findings import CheckVerdict, Problem, Unread, named
 from robotkube.delivery.preflight.core.kinds import read_version
 from robotkube.delivery.preflight.core.renderings import Object, agents, labels_of, name_of
+from robotkube.foundation.kubernetes.core.node_agents import (
+    AGENT,
+    CAPABILITY,
+    GUEST,
+    GUEST_CAPABILITY,
+    GUEST_ROLE,
+    GUESTS_MAX,
+    ROLE,
+    TRUE,
+    NodeAgent,
+    node_agents,
+    shared_nodes,
+    trial_words,
+)
 from robotkube.registry.suites.core.pod_security import items, mapping
 
-AGENT, ROLE, CAPABILITY = "robotkube.io/agent", "robotkube.io/role", "robotkube.io/capability."
 PLATFORM = "platform"  # the role of Nodes that run the platform and are no agent's
 REFUSING = Version(1, 35, 0, "0")  # and every later version: a pre-release of it, too
 WHY_NO_NODE = "until one is there tasks on it are refused with NoCapableNode"
@@ -21,26 +34,33 @@ WHY_NO_NODE = "until one is there tasks on it are refused with NoCapableNode"
 
 def agents_nodes(settings: Mapping[str, Any], nodes: Sequence[Object]) -> CheckVerdict:
     """Each agent has a Node, of its role, and a reserved one need not have any; no Node names an agent that is not
-    declared."""
+    declared. Where Nodes are several agents' that is said, and the suites' agent is none of the guests."""
     declared = {str(agent.get("name")): str(agent.get("role") or "") for agent in agents(settings)}
     owned = of_agents(nodes)
     problems = [_no_node(name, role) for name, role in declared.items() if role and name not in owned]
-    for name, own in owned.items():
-        for node in own:
-            problems += _wrong_labels(node, name, declared)
+    for node in nodes:
+        problems += _wrong_values(node) if _named(node) else ()
+        for agent in _named(node):
+            problems += _wrong_labels(node, agent, declared)
+    problems += _suites_on_a_guest(settings, nodes)
     reserved = sum(not role for role in declared.values())
     says = f"{len(declared)} agents in the values{f' ({reserved} reserved)' if reserved else ''}, "
     says += f"{len(owned)} named by Nodes, {len(nodes)} Nodes"
-    return CheckVerdict(says, problems)
+    trial = trial_words(shared_nodes((name_of(node), labels_of(node)) for node in nodes))
+    return CheckVerdict(f"{says}; {trial}" if trial else says, problems)
 
 
 def of_agents(nodes: Sequence[Object]) -> Mapping[str, Sequence[Object]]:
     """The Nodes of each agent that a label names."""
     owned: defaultdict[str, list[Object]] = defaultdict(list)
     for node in nodes:
-        if labels_of(node).get(AGENT):
-            owned[labels_of(node)[AGENT]].append(node)
+        for agent in _named(node):
+            owned[agent.name].append(node)
     return owned
+
+
+def _named(node: Object) -> list[NodeAgent]:
+    return [agent for agent in node_agents(labels_of(node)) if agent.name]
 
 
 def _no_node(name: str, role: str) -> Problem:
@@ -48,26 +68,51 @@ def _no_node(name: str, role: str) -> Problem:
     return Problem(f"no Node has the label {AGENT}={name}", f"agent {name}", WHY_NO_NODE, fix)
 
 
-def _wrong_labels(node: Object, agent: str, declared: Mapping[str, str]) -> Iterator[Problem]:
+def _wrong_labels(node: Object, agent: NodeAgent, declared: Mapping[str, str]) -> Iterator[Problem]:
     name = name_of(node)
-    present = labels_of(node)
-    if agent not in declared and present.get(ROLE) == PLATFORM:
+    wanted = declared.get(agent.name, "")
+    if agent.name not in declared and agent.role == PLATFORM:
         return
-    if agent not in declared:
-        fix = f"declare it in the values `agents`, or kubectl label node {name} {AGENT}-"
+    if agent.name not in declared:
+        label = f"{GUEST}{agent.name}" if agent.guest else AGENT
+        fix = f"declare it in the values `agents`, or kubectl label node {name} {label}-"
         why = "there is no namespace, account or volume claim for it, and the manager leaves it out"
-        yield Problem(f"label {AGENT}={agent} names no agent of the values", f"Node {name}", why, fix)
-    elif declared[agent] and present.get(ROLE, declared[agent]) != declared[agent]:
-        fix = (
-            f"kubectl label node {name} {ROLE}={declared[agent]} --overwrite, or change the agent's role in the values"
+        yield Problem(
+            f"label {label}={agent.guest or agent.name} names no agent of the values", f"Node {name}", why, fix
         )
-        what = f"label {ROLE} is {present[ROLE]}, the values say {declared[agent]}"
+    elif wanted and (agent.role or wanted) != wanted:
+        label = f"{GUEST_ROLE}{agent.name}" if agent.guest else ROLE
+        fix = f"kubectl label node {name} {label}={wanted} --overwrite, or change the agent's role in the values"
+        what = f"label {label} is {agent.role}, the values say {wanted}"
         yield Problem(what, f"Node {name}", "people and selectors go by it", fix)
-    for key, value in sorted(present.items()):
-        if key.startswith(CAPABILITY) and value != "true":
+
+
+def _wrong_values(node: Object) -> Iterator[Problem]:
+    name = name_of(node)
+    guests = [agent.name for agent in _named(node) if agent.guest]
+    numbers = [agent.guest for agent in _named(node) if agent.guest]
+    for key, value in sorted(labels_of(node).items()):
+        if (key.startswith(CAPABILITY) or GUEST_CAPABILITY in key) and value != TRUE:
             why = "a capability counts with the value true alone"
             yield Problem(
                 f"label {key} is {value!r}", f"Node {name}", why, f"kubectl label node {name} {key}=true --overwrite"
+            )
+        if key.startswith(GUEST) and (key.removeprefix(GUEST) not in guests or numbers.count(int(value)) > 1):
+            why = "it is the ROS domain of a guest, by which those who share a Node are kept apart"
+            fix = f"kubectl label node {name} {key}=N --overwrite, N from 1 to {GUESTS_MAX} and no other guest's"
+            yield Problem(f"label {key} is {value!r}", f"Node {name}", why, fix)
+
+
+def _suites_on_a_guest(settings: Mapping[str, Any], nodes: Sequence[Object]) -> Iterator[Problem]:
+    suites = mapping(settings.get("suites"))
+    of_cloud = (str(agent.get("name")) for agent in agents(settings) if agent.get("role") == "cloud")
+    chosen = str(suites.get("agent") or "") or next(of_cloud, "")
+    for node in nodes if suites.get("enabled", True) else ():
+        if any(agent.guest and agent.name == chosen for agent in _named(node)):
+            why = "charts are tried by the label of a Node's host, so their pods would find no Node"
+            fix = "name a host in suites.agent, or give this agent the label robotkube.io/agent, another the guest's"
+            yield Problem(
+                f"agent {chosen}, on which charts are tried, is a guest there", f"Node {name_of(node)}", why, fix
             )
 
 
@@ -75,7 +120,7 @@ def agents_ready(settings: Mapping[str, Any], nodes: Sequence[Object]) -> CheckV
     """Every Node of a declared agent is Ready and takes pods."""
     declared = [str(agent.get("name")) for agent in agents(settings)]
     owned = of_agents(nodes)
-    own = [node for name in declared for node in owned.get(name, ())]
+    own = list({name_of(node): node for name in declared for node in owned.get(name, ())}.values())
     problems = [problem for node in own for problem in _not_ready(node)]
     unseen = "" if own else "no Node of an agent is there (see check agents)"
     return CheckVerdict(f"{len(own)} Nodes of agents", problems, unseen)

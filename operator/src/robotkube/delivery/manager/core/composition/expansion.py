@@ -29,7 +29,14 @@ from robotkube.delivery.manager.core.composition.publishers import (
 from robotkube.delivery.manager.core.composition.selection import Chosen
 from robotkube.delivery.manager.core.composition.topic_merge import End, MergedTopics
 from robotkube.delivery.manager.core.placement.capacity import read_resources
-from robotkube.delivery.manager.core.placement.placement import Agent, Group, Placement, PlacementRequest, group
+from robotkube.delivery.manager.core.placement.placement import (
+    GUEST,
+    Agent,
+    Group,
+    Placement,
+    PlacementRequest,
+    group,
+)
 from robotkube.errors import RefusalError
 from robotkube.foundation.documents.core.patterns import NAME
 from robotkube.foundation.documents.core.value_templates import render_templates
@@ -194,8 +201,18 @@ class _Expander:
         need = read_resources(chart.resources)
         asked = () if agent is not None else needs(self._links, instance, self._given, self._render)
         wanted = tuple(link_need for link_need in asked if link_need.binds)
+        unfit = "" if self._index.selector.knows_guests(chart) else f"{chart.chart} {chart.version}"
         return chosen, PlacementRequest(
-            service.name, service.placement, agent, kept, need, chart.platforms, apart, bool(service.unite), wanted
+            service.name,
+            service.placement,
+            agent,
+            kept,
+            need,
+            chart.platforms,
+            apart,
+            bool(service.unite),
+            wanted,
+            unfit,
         )
 
     def _lookup(self, lookup: Lookup, part: str) -> Any:
@@ -320,9 +337,16 @@ def make_release(
     if not isinstance(name, str) or not NAME.fullmatch(name):
         raise RefusalError("CompositionFailed", f"release name {name!r} must match {NAME.pattern}")
     application_name(agent.namespace, name)
+    if agent.guest and not index.selector.knows_guests(chart):
+        raise RefusalError(
+            "NoCapableNode",
+            f"{agent} {GUEST}, which {chart.chart} {chart.version} knows nothing of; publish a newer version, or give "
+            "the agent a Node of its own",
+        )
     placement: dict[str, Any] = {"agent": agent.name}
     placement |= {"node": agent.node} if agent.node else {}
     placement |= {"movable": True} if movable else {}
+    placement |= {"guest": agent.guest} if agent.guest else {}
     full = {**values, "placement": placement}
     index.selector.check_values(chart, full, f"{agent.namespace}/{name}")
     evidence = index.selector.catalogue.evidence_of(chart)

@@ -11,8 +11,9 @@ from robotkube.delivery.deployment.core.releases import Release
 from robotkube.delivery.manager.core.composition.inputs import Demand, Inputs
 from robotkube.delivery.manager.core.composition.selection import Chosen, Selector
 from robotkube.delivery.manager.core.placement.capacity import NOTHING, Occupancy, Resources, read_resources
+from robotkube.delivery.manager.core.placement.criteria import AgentCriteria
 from robotkube.delivery.manager.core.placement.link_needs import LinkNeed, forbidden
-from robotkube.delivery.manager.core.placement.placement import AgentCriteria, Fleet, Group, NodeState
+from robotkube.delivery.manager.core.placement.placement import Fleet, Group, NodeState
 from robotkube.foundation.documents.core.value_templates import Render
 from robotkube.registry.catalogue.core.applications import Service
 from robotkube.registry.catalogue.core.catalogue import Catalogue, Pin

@@ -142,6 +142,13 @@ class Selector:
         if problems:
             raise RefusalError("CompositionFailed", f"chart {chart.chart} {chart.version}: {'; '.join(problems)}")
 
+    def knows_guests(self, chart: ChartVersion) -> bool:
+        """Return whether releases of a chart can run on the guests of a Node: its published schema, as far as it is at
+        hand, has the value."""
+        schema = self.schema(chart.chart, chart.version) if self.schema is not None else None
+        placement = (schema or {}).get("properties", {}).get("placement", {})
+        return schema is None or "guest" in placement.get("properties", {})
+
     def deployed(self, chart: ChartVersion, values: Mapping[str, Any]) -> Mapping[str, Any]:
         """A release's values laid over the chart's own, as far as its published schema is at hand."""
         schema = self.schema(chart.chart, chart.version) if self.schema is not None else None

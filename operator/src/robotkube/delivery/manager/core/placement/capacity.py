@@ -22,6 +22,10 @@ class Resources:
     def __add__(self, other: Resources) -> Resources:
         return Resources(self.cpu_millicores + other.cpu_millicores, self.memory_bytes + other.memory_bytes)
 
+    def part(self, parts: int) -> Resources:
+        """One of so many equal parts."""
+        return Resources(self.cpu_millicores // parts, self.memory_bytes // parts)
+
 
 NOTHING = Resources()
 

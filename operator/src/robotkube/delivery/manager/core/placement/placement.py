@@ -8,6 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from robotkube.delivery.manager.core.placement.capacity import NOTHING, Capacity, Occupancy, Resources
+from robotkube.delivery.manager.core.placement.criteria import AgentCriteria
 from robotkube.delivery.manager.core.placement.reasons import DECLARED, Reason, listed, shown
 from robotkube.errors import RefusalError
 from robotkube.registry.catalogue.core.applications import PlacementRule
@@ -21,6 +22,7 @@ CANDIDATES_KEPT_MAX = 256
 SECOND_NS = 1_000_000_000
 
 LOST = "its Node is lost"
+GUEST = "is a guest on another agent's Node"
 POSSIBLE: Reason = ("possible", "")
 
 
@@ -28,12 +30,14 @@ POSSIBLE: Reason = ("possible", "")
 class Agent:
     """A declared machine of the fleet; its node may not exist yet. With `node` it is one place of an agent that has
     several Nodes: ROS does not cross Nodes, so each of them counts by itself. Without a `role` it is reserved: main
-    says which role it has once it is enrolled."""
+    says which role it has once it is enrolled. `guest`: its number on a Node that is another agent's as well, which the
+    fleet knows."""
 
     name: str
     role: str
     namespace: str
     node: str = ""
+    guest: int = 0
 
     @property
     def place(self) -> str:
@@ -46,7 +50,8 @@ class Agent:
 
 @dataclass(frozen=True)
 class NodeState:
-    """A Node that belongs to an agent (label robotkube.io/agent).
+    """A Node that belongs to an agent (label robotkube.io/agent), or to one of several that share it: then what it
+    offers is that one's part, and `guest` its number beside the Node's host (0: it is the host).
 
     `allocatable` None and `platform` "" are not known and bound nothing. Times are ns since 1970, from the condition
     Ready: `ready_since`; `not_ready_since` while it is not; `silent_since` while nothing is heard of the kubelet.
@@ -67,6 +72,7 @@ class NodeState:
     silent_since: int | None = None
     lost: bool = False
     created: int = 0
+    guest: int = 0
 
     def silent_seconds(self, now_ns: int) -> float:
         """How long nothing was heard of the kubelet; 0 while it reports."""
@@ -78,7 +84,7 @@ class PlacementRequest:
     """Request of an instance of a service for a place: its rule, the agent it names (rendered; None: it names none),
     the agents that run its release already, what it asks for, the platforms it runs on (none: any), a word for services
     that must not share an agent. `merged`: it shares a release of its name with others. `links`: their needs that not
-    every agent can have."""
+    every agent can have. `unfit_for_guests`: the chart version, where that cannot run on a Node's guests."""
 
     service: str
     rule: PlacementRule
@@ -89,6 +95,7 @@ class PlacementRequest:
     apart: str = ""
     merged: bool = False
     links: tuple[LinkNeed, ...] = ()
+    unfit_for_guests: str = ""
 
 
 @dataclass(frozen=True)
@@ -111,25 +118,6 @@ class Placement:
 
     agent: Agent
     reasons: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class AgentCriteria:
-    """Conditions, apart from time and neighbours, on which an agent can carry a group; empty is no condition."""
-
-    role: str
-    roles: tuple[str, ...]
-    agents: tuple[str, ...]
-    capabilities: tuple[str, ...]
-    platforms: tuple[tuple[str, ...], ...]
-    named: str = ""
-
-    def __str__(self) -> str:
-        words = [f"role {self.role}"] if self.role else []
-        words += [f"one of the roles {', '.join(self.roles)}"] if self.roles else []
-        words += [f"one of the agents {', '.join(self.agents)}"] if self.agents else []
-        words += [f"capability {c}" for c in self.capabilities]
-        return ", ".join(words or ["any role"])
 
 
 @dataclass(frozen=True)
@@ -169,7 +157,7 @@ class Fleet:
 
     def home(self, agent: Agent) -> Agent:
         """The place of what is bound to an agent."""
-        return replace(agent, node=self.homes[agent.name]) if agent.name in self.homes else agent
+        return self._on(agent, self.homes[agent.name]) if agent.name in self.homes else agent
 
     def places(self, agent: Agent) -> tuple[Agent, ...]:
         """Every place of an agent, by Node: itself, unless its Nodes count one by one."""
@@ -182,7 +170,12 @@ class Fleet:
 
     @cached_property
     def _divided(self) -> Mapping[str, tuple[Agent, ...]]:
-        return {name: tuple(replace(self.agents[name], node=n.name) for n in self.nodes[name]) for name in self.homes}
+        return {name: tuple(self._on(self.agents[name], n.name) for n in self.nodes[name]) for name in self.homes}
+
+    def _on(self, agent: Agent, node: str) -> Agent:
+        """An agent on its Node of that name."""
+        guest = next((known.guest for known in self.nodes[agent.name] if known.name == node), 0)
+        return replace(agent, node=node, guest=guest)
 
     @cached_property
     def at(self) -> Mapping[str, Agent]:
@@ -270,7 +263,9 @@ def fleet(
     for node in sorted(nodes, key=lambda n: n.name):
         is_lost = node.not_ready_since is not None and now_ns - node.not_ready_since > lost_seconds * SECOND_NS
         by_agent.setdefault(node.agent, []).append(replace(node, lost=True) if is_lost else node)
-    return Fleet({a.name: a for a in agents}, {name: tuple(of_agent) for name, of_agent in by_agent.items()})
+    guests = {node.agent: node.guest for node in nodes if node.guest}
+    named = {a.name: replace(a, guest=guests[a.name]) if a.name in guests else a for a in agents}
+    return Fleet(named, {name: tuple(of_agent) for name, of_agent in by_agent.items()})
 
 
 def next_loss_ns(nodes: Iterable[NodeState], lost_seconds: float, now_ns: int) -> int | None:
@@ -328,7 +323,9 @@ def group(requests: Sequence[PlacementRequest], fleet: Fleet, narrowing: Narrowi
     of_rules = [capability for request in requests for capability in request.rule.capabilities]
     capabilities = dict.fromkeys([*of_rules, *narrowing.capabilities])
     roles = tuple(narrowing.instead or narrowing.roles)
-    wanted = AgentCriteria(role, roles, narrowing.agents, tuple(capabilities), platforms, named.name if named else "")
+    unfit = tuple(dict.fromkeys(request.unfit_for_guests for request in requests if request.unfit_for_guests))
+    own = named.name if named else ""
+    wanted = AgentCriteria(role, roles, narrowing.agents, tuple(capabilities), platforms, own, unfit)
     return Group(tuple(requests), wanted, together)
 
 
@@ -479,6 +476,8 @@ def _lack(agent: Agent, nodes: Sequence[NodeState], wanted: AgentCriteria) -> Re
     if foreign:
         own = ", ".join(sorted({node.platform for node in nodes}))
         return f"is {own}, the chart runs on {', '.join(foreign[0])}", ""
+    if wanted.unfit_for_guests and agent.guest:
+        return GUEST, f", which {', '.join(wanted.unfit_for_guests)} knows nothing of"
     if not wanted.named and all(node.lost for node in nodes):
         return LOST, f": {', '.join(node.name for node in nodes)}"
     return None

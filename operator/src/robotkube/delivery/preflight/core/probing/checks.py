@@ -126,7 +126,9 @@ def _wrong_clock(name: str, seconds: float, within: float) -> Problem:
 def broker_reach(probed: Probed, settings: Mapping[str, Any], nodes: Sequence[Object], installed: bool) -> CheckVerdict:
     """The Node of every agent reaches the broker's port; accounts and certificates are not tried."""
     host, port = probed.target.broker
-    own = [name_of(node) for one in agents(settings) for node in of_agents(nodes).get(str(one.get("name")), ())]
+    owned = of_agents(nodes)
+    named = (name_of(node) for one in agents(settings) for node in owned.get(str(one.get("name")), ()))
+    own = list(dict.fromkeys(named))
     if not host and not installed:
         return CheckVerdict("", (), "absent: the broker is the platform's own, which the chart makes")
     if not host:
