@@ -88,7 +88,7 @@ def test_find() -> None:
     ]
     assert [e["kind"] for e in find(ENTRIES, "mqtt-bridge@0.1.2")] == ["chart"]
     assert find(ENTRIES, "mqtt-bridge@0.1.2")[0]["guarantees"][0]["status"] == "declared"
-    with pytest.raises(RefusalError, match=r"versions of mqtt-bridge: 0\.1\.2, 0\.2\.2"):
+    with pytest.raises(RefusalError, match=r"versions of mqtt-bridge: 0\.1\.2, 0\.2\.3"):
         find(ENTRIES, "mqtt-bridge@9.0.0")
     with pytest.raises(RefusalError, match="there are bag-player, "):
         find(ENTRIES, "nothing")
