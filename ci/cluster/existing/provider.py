@@ -25,6 +25,7 @@ from ci.images import image_lock
 from ci.images.image_lock import Image
 from ci.installation import ARGOCD, GATE, NAMESPACE, Installer
 from robotkube.delivery.preflight.core.values import merged
+from robotkube.foundation.kubernetes.core.node_agents import shared_nodes, trial_words
 
 ADDED = {"robotkube.io/added": "demo"}  # annotation of namespaces that are made before the chart
 COMMAND_SECONDS_MAX = 60
@@ -83,7 +84,8 @@ class Existing(ReachedThroughApiServer):
         """What `take` would write, a line for each Node."""
         self.recognise()
         agents = self._agents()
-        return tuple(map(str, self._nodes.planned(lambda nodes: labels.adding(nodes, agents))))
+        changes = self._nodes.planned(lambda nodes: labels.adding(nodes, agents))
+        return (*map(str, changes), *(self._trial(agents) if changes else ()))
 
     def up(self, topology: Topology, wanted: Sequence[Image]) -> None:
         """See Provider.up: its Nodes are taken, and whatever the installation adds is agreed to."""
@@ -219,8 +221,14 @@ class Existing(ReachedThroughApiServer):
             registry.require(self._given.registry, built, self._given.authority)
         changes = self._nodes.planned(plan)
         if changes or also:
-            self._nodes.agree([*changes, *also])
+            self._nodes.agree([*changes, *also, *self._trial(agents)])
         return self._nodes.write(plan, changes)
+
+    def _trial(self, agents: mapping.AgentsFile) -> list[str]:
+        """What has to be said of Nodes that agents are to share; nothing where none are."""
+        labelled = labels.wanted_labels(self._nodes.given(), agents) if agents.trial else {}
+        words = trial_words(shared_nodes(labelled.items()))
+        return [words] if words else []
 
     def _to_install(self) -> list[str]:
         """What an installation adds, in words; nothing once it has begun. InputError where somebody else has one."""

@@ -1,5 +1,5 @@
 """The paper's use case, small, on a cluster that somebody else made: taken by its kubeconfig, with every image from the
-bundle in a registry, and given back as it was."""
+bundle in a registry, and given back as it was. Once each agent has a Node of its own, once they share two."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
 from ci import bundle, evidence, oras, publish
 from ci.cluster.through_api_server.forwards import Forwards
@@ -25,7 +26,7 @@ from robotkube.cli.main import main
 from robotkube.registry.publication.adapters import submission_folders
 from scenarios import definition
 from tests.stages import http_calls
-from tests.stages.platform.cluster_of_others import ClusterOfOthers, made
+from tests.stages.platform.cluster_of_others import ClusterOfOthers, each_alone, made, two_machines
 from tests.stages.platform.running_platform import NAME, SCENARIO, VARIANT, spoken
 
 pytestmark = pytest.mark.thorough
@@ -44,12 +45,15 @@ PASSING = {
 RETAINED = "persistentvolumes "  # their class retains them, with whose they were
 
 
-@pytest.fixture(scope="module")
-def cluster(no_demo: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ClusterOfOthers]:
+@pytest.fixture(scope="module", params=[each_alone, two_machines], ids=lambda machines: machines.__name__)
+def cluster(
+    request: pytest.FixtureRequest, no_demo: None, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[ClusterOfOthers]:
     prepared = preparation.everything()
     scenario = definition.load(SCENARIO, [], VARIANT)
     nodes = topology.read(SCENARIO / "scenario.yaml", {"vehicles": str(len(scenario.vehicles))})
-    with made(NAME, prepared.binaries, nodes, prepared.images, tmp_path_factory.mktemp("others")) as found:
+    machines = request.param(nodes)
+    with made(NAME, prepared.binaries, machines, prepared.images, tmp_path_factory.mktemp("others")) as found:
         _push(found, tmp_path_factory.mktemp("bundle") / "robotkube.tar")
         yield found
 
@@ -141,6 +145,9 @@ def test_the_use_case_runs_there_and_leaves_it_as_it_was(cluster: ClusterOfOther
     assert report["passed"], said[-4000:]
     _console_answers_forwards_alone(cluster)
     _what_runs_has_the_digests_of_the_bundle(cluster)
+    shares = yaml.safe_load(cluster.agents.read_text(encoding="utf-8")).get("trial", False)
+    assert any("trial mode: agents share Nodes (Node machine-0" in text for text in report["warnings"]) == shares
+    assert ("trial mode: agents share Nodes (Node machine-0" in said) == shares
     removed = _make(cluster, "down", DOWN_SECONDS_MAX)
     assert "Node machine-0" in removed
     after = _objects(cluster)

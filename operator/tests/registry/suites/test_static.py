@@ -341,6 +341,15 @@ def schema(change: Callable[[dict[str, Any]], Any] = lambda schema: None) -> dic
     return changed
 
 
+def test_a_schema_names_its_values_also_by_reference() -> None:
+    by_reference = schema(lambda one: one["properties"].update(one={"$ref": "#/$defs/topic"}))
+    for names in (["placement"], ["placement", "agent"], ["one", "name"]):
+        assert values_schemas.names_value(by_reference, *names)
+    for names in (["guest"], ["placement", "guest"], ["one", "agent"], ["free", "guest"], ["one", "name", "x"]):
+        assert not values_schemas.names_value(by_reference, *names)
+    assert not values_schemas.names_value({"properties": []}, "placement")
+
+
 def test_a_strict_schema_has_no_problem() -> None:
     assert values_schemas.strictness_problems(schema()) == []
     assert values_schemas.undescribed(schema()) == []

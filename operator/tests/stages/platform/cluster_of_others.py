@@ -16,7 +16,7 @@ from ci import distribution
 from ci.cluster.embedded.admission import admission_files
 from ci.cluster.embedded.nodes import pulling
 from ci.cluster.embedded.provider import Embedded
-from ci.cluster_contract.topology import Topology
+from ci.cluster_contract.topology import NodeSpec, Topology
 from ci.images.image_lock import SANDBOX, Image
 from ci.machine import network_policies
 from tests.stages.registry.distribution import open_to_all
@@ -41,32 +41,51 @@ class ClusterOfOthers:
         return f"{self.registry}/{PATH}"
 
 
+def each_alone(topology: Topology) -> list[list[NodeSpec]]:
+    """A machine for each node."""
+    return [[node] for node in topology.nodes]
+
+
+def two_machines(topology: Topology) -> list[list[NodeSpec]]:
+    """One machine for platform and cloud, one for all vehicles."""
+    vehicles = [node for node in topology.nodes if node.role == "vehicle"]
+    return [[node for node in topology.nodes if node not in vehicles], vehicles]
+
+
 @contextmanager
 def made(
-    name: str, binaries: Path, topology: Topology, built: Sequence[Image], folder: Path
+    name: str, binaries: Path, machines: Sequence[Sequence[NodeSpec]], built: Sequence[Image], folder: Path
 ) -> Iterator[ClusterOfOthers]:
-    """The cluster, with a Node for each of the topology, called machine-0 and so on, and nothing that makes it that
-    one's; it is removed afterwards."""
+    """The cluster, with a Node for each of the machines, called machine-0 and so on, and nothing that makes it that of
+    the nodes of a scenario that it is for; it is removed afterwards."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(network_policies.VARIABLE, network_policies.OFF)
         provider = Embedded(name, binaries, admission_files.OFF)
-    machines = tuple(replace(one, name=f"machine-{number}") for number, one in enumerate(topology.nodes))
+    nodes = [_machine(f"machine-{number}", own) for number, own in enumerate(machines)]
     provider.down()
     try:
-        provider.up(Topology(machines), [image for image in built if image.name == SANDBOX])
+        provider.up(Topology(tuple(nodes)), [image for image in built if image.name == SANDBOX])
         _strip(provider)
         with open_to_all(distribution.ensure() / "registry", folder, str(provider.plan.gateway)) as registry:
             _open_port(provider, registry.host)
             _believe(provider, registry.host, registry.authority)
             agents = folder / "agents.yaml"
             entries = [
-                {"node": machine.name, "role": one.role, "agent": one.agent, "capabilities": list(one.capabilities)}
-                for machine, one in zip(machines, topology.nodes, strict=True)
+                {"node": node.name, "role": one.role, "agent": one.agent, "capabilities": list(one.capabilities)}
+                for node, own in zip(nodes, machines, strict=True)
+                for one in own
             ]
-            agents.write_text(yaml.safe_dump({"agents": entries}), encoding="utf-8")
+            trial = {"trial": True} if len(entries) > len(nodes) else {}
+            agents.write_text(yaml.safe_dump({**trial, "agents": entries}), encoding="utf-8")
             yield ClusterOfOthers(provider, registry.host, registry.authority, agents)
     finally:
         provider.down()
+
+
+def _machine(name: str, nodes: Sequence[NodeSpec]) -> NodeSpec:
+    """A machine as large as these nodes of a scenario, with the volumes that the last one's role has."""
+    cpu, memory = sum(one.cpu_millicores for one in nodes), sum(one.memory_bytes for one in nodes)
+    return replace(nodes[-1], name=name, cpu_millicores=cpu, memory_bytes=memory)
 
 
 def _strip(provider: Embedded) -> None:

@@ -107,15 +107,18 @@ def test_agents_that_share_nodes_leave_nothing_either(api: Api, given: GivenClus
     guest = {"node": "given-2", "role": "vehicle", "agent": "vehicle-01", "capabilities": ["lidar"]}
     given.agents.write_text(yaml.safe_dump({"trial": True, "agents": [*AGENTS["agents"], guest]}))
     before = everything(api)
-    cluster = Existing(given)
+    asked: list[str] = []
+    cluster = Existing(replace(given, agreed=False), lambda text: asked.append(text) or True)
+    said = "trial mode: agents share Nodes (Node given-2 is vehicle-00, vehicle-01)"
+    assert said in cluster.planned()[-1]
     assert len(cluster.take()) == 2
+    assert said in asked[0]
     assert labels(api, "given-2")["agent.robotkube.io/vehicle-01"] == "1"
     assert [(node.name, node.agent, node.guest) for node in cluster.nodes()] == [
         ("given-1", "platform", 0),
         ("given-2", "vehicle-00", 0),
         ("given-2", "vehicle-01", 1),
     ]
-    said = "trial mode: agents share Nodes (Node given-2 is vehicle-00, vehicle-01)"
     assert said in cluster.status()
     assert said in cluster.lacks[-1]
     assert cluster.take() == ()

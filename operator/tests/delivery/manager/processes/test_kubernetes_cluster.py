@@ -105,6 +105,17 @@ def test_a_task_nested_too_deeply_blinds_nobody(api: Api, seen: Seen) -> None:
     until(lambda: seen.task_names() == [], "gone")
 
 
+def test_a_node_of_several_agents_is_there_for_each(api: Api, seen: Seen) -> None:
+    labels = {"robotkube.io/agent": "vehicle-00", "agent.robotkube.io/vehicle-01": "1"}
+    api.post("/api/v1/nodes", {"apiVersion": "v1", "kind": "Node", "metadata": {"name": "n1", "labels": labels}})
+    until(lambda: [node.agent for node in seen.cluster.nodes()] == ["vehicle-00", "vehicle-01"], "both seen")
+    assert {node.name for node in seen.cluster.nodes()} == {"n1"}
+    api.merge("/api/v1/nodes/n1", {"metadata": {"labels": {"agent.robotkube.io/vehicle-01": None}}})
+    until(lambda: [node.agent for node in seen.cluster.nodes()] == ["vehicle-00"], "the guest is gone")
+    api.delete("/api/v1/nodes/n1")
+    until(lambda: seen.cluster.nodes() == [], "gone")
+
+
 def test_nodes_of_agents(api: Api, seen: Seen) -> None:
     labels = {
         "robotkube.io/agent": "cloud-0",

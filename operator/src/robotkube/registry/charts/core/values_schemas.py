@@ -138,6 +138,17 @@ def _resolved(root: Mapping[str, Any], node: Any, steps_left: int = 10) -> Any:
     return _resolved(root, target, steps_left - 1)
 
 
+def names_value(schema: Mapping[str, Any], *path: str) -> bool:
+    """Return whether the schema names the value at `path` among its `properties`."""
+    node: Any = schema
+    for key in path:
+        named = _mapping(_mapping(_resolved(schema, node)).get("properties"))
+        if key not in named:
+            return False
+        node = named[key]
+    return True
+
+
 def must_be_given(schema: Mapping[str, Any], path: tuple[str | int, ...], default: Any) -> bool:
     """Return whether the value at `path` is an empty text that stands for "must be given": its parent requires the
     key."""

@@ -16,7 +16,7 @@ from robotkube.registry.catalogue.core.catalogue import Catalogue, Pin
 from robotkube.registry.catalogue.core.chart_versions import ChartVersion
 from robotkube.registry.catalogue.core.guarantees import GuaranteeRequirement
 from robotkube.registry.catalogue.core.versions import LOWEST, Precedence, version_key
-from robotkube.registry.charts.core.values_schemas import Validate, deployed
+from robotkube.registry.charts.core.values_schemas import Validate, deployed, names_value
 
 Chosen = tuple[ChartVersion, tuple[str, ...]]
 
@@ -146,8 +146,7 @@ class Selector:
         """Return whether releases of a chart can run on the guests of a Node: its published schema, as far as it is at
         hand, has the value."""
         schema = self.schema(chart.chart, chart.version) if self.schema is not None else None
-        placement = (schema or {}).get("properties", {}).get("placement", {})
-        return schema is None or "guest" in placement.get("properties", {})
+        return schema is None or names_value(schema, "placement", "guest")
 
     def deployed(self, chart: ChartVersion, values: Mapping[str, Any]) -> Mapping[str, Any]:
         """A release's values laid over the chart's own, as far as its published schema is at hand."""
