@@ -1,6 +1,6 @@
 # Every target runs a module of ci/ or scenarios/ in the project's own Python environment (made by ci/python, kept in the cache folder).
 .DEFAULT_GOAL := help
-.PHONY: help demo drive test test-fast test-thorough check bench cluster nodes status down toolchain images web bundle lock golden reference docs
+.PHONY: help demo drive test test-fast test-thorough check bench cluster nodes status down toolchain images kind-node-image web bundle lock golden reference docs
 
 PYTHON := ci/python
 # the name of a folder below scenarios/, and a variant of its scenario.yaml: make demo SCENARIO=three-vehicles VARIANT=small
@@ -25,11 +25,14 @@ VALUES ?=
 YES ?=
 CHOSEN = --cluster $(CLUSTER) $(addprefix --kubeconfig ,$(KUBECONFIG)) $(addprefix --context ,$(CONTEXT)) $(addprefix --registry ,$(REGISTRY)) $(addprefix --registry-ca ,$(REGISTRY_CA)) $(addprefix --agents ,$(AGENTS)) $(addprefix --values ,$(VALUES)) $(if $(YES),--yes)
 
+# a file for the image of kind's nodes, instead of the Docker or podman of this machine
+ARCHIVE ?=
+
 # for how many minutes the vehicles go on driving after a demo, and with `make drive`; 0: they stand
 KEEP_DRIVING ?= 30
 
 help:           ## this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 demo:           ## a scenario, end to end, on a cluster of its own; the paper's use case if none is named
 	@$(PYTHON) -m scenarios.demo $(SCENARIO) $(CHOSEN) --driving $(KEEP_DRIVING) $(addprefix --variant ,$(VARIANT)) $(addprefix --set ,$(SET))
@@ -69,6 +72,9 @@ toolchain:      ## build the programs of the embedded cluster (cached)
 
 images:         ## build the container images (cached)
 	@$(PYTHON) -m ci.images
+
+kind-node-image: ## an image of kind's nodes (CLUSTER=kind), where kind's own cannot be pulled; ARCHIVE=FILE writes a file
+	@$(PYTHON) -m ci.kind_node_image $(addprefix --archive ,$(ARCHIVE))
 
 web:            ## build the forge's pages (cached); images that are built afterwards have them
 	@$(PYTHON) -m ci.web

@@ -28,6 +28,7 @@ NEEDS: dict[str, tuple[str, ...]] = {
     ),
     "images": ("buildah", "mmdebstrap"),
     "browser": ("chromium",),
+    "engine": ("iptables", "libdevmapper1.02.1", "libsystemd0"),  # what a Docker engine of the tests calls and links
     # the last four are what the broker is linked with, see `unpacked`
     "tests": (
         "git",

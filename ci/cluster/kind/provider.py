@@ -22,6 +22,7 @@ from ci.cluster_contract.topology import Topology
 from ci.errors import InputError, SetUpError
 from ci.folders import user_cache
 from ci.images.image_lock import Image
+from ci.kind_node_image import engines, naming
 from ci.machine import cgroups
 from ci.steps import Steps
 from robotkube.registry.bundles.adapters.loading import FIRST, load_kind
@@ -29,6 +30,11 @@ from robotkube.registry.bundles.adapters.loading import FIRST, load_kind
 NODE_IMAGE = "KIND_NODE_IMAGE"
 STEPS = 3
 API_SERVER_PORT, KUBELET_PORT = 6443, 10250
+NOT_PULLED = "failed to pull image"  # kind's words
+MENDED = (
+    "kind's own image of nodes cannot be pulled here: make kind-node-image builds one, which is then taken; "
+    f"{NODE_IMAGE} names another one"
+)
 
 
 class KindCluster(ReachedThroughApiServer):
@@ -61,12 +67,14 @@ class KindCluster(ReachedThroughApiServer):
         with steps.step("kind"):
             command = Kind(kind_cli.ensure())
         configured = configuration(workers, cgroups_of_version_1=not cgroups.unified())
+        node_image = self._node_image()
         record = self._record()
         with steps.step(f"cluster {CLUSTER}: {len(workers) + 1} containers") as step:
-            if record.get("key") == key(configured, self._node_image) and command.runs() and self._ready():
+            if record.get("key") == key(configured, node_image) and command.runs() and self._ready():
                 step.note = "running, of the same nodes"
             else:
-                record = self._create(command, configured)
+                step.progress(f"of {node_image or 'the image that belongs to this version of kind'}")
+                record = self._create(command, configured, node_image)
         with steps.step("images") as step:
             new = [image for image in wanted if image.reference not in record["images"]]
             if new:
@@ -74,7 +82,7 @@ class KindCluster(ReachedThroughApiServer):
                 self._write_record({**record, "images": sorted(image.reference for image in wanted)})
             step.note = f"{len(new)} loaded" if new else "there"
 
-    def _create(self, command: Kind, configured: str) -> dict[str, Any]:
+    def _create(self, command: Kind, configured: str, node_image: str) -> dict[str, Any]:
         if command.runs():
             if not self._record_file.exists():
                 raise InputError(
@@ -86,8 +94,13 @@ class KindCluster(ReachedThroughApiServer):
         self._write_record({"images": []})  # what is there from now on was made here
         file = self.work() / "kind.yaml"
         file.write_text(configured, encoding="utf-8")
-        command.create(file, self.kubeconfig(), self._node_image)
-        record: dict[str, Any] = {"key": key(configured, self._node_image), "images": []}
+        try:
+            command.create(file, self.kubeconfig(), node_image)
+        except SetUpError as error:
+            if node_image or NOT_PULLED not in str(error):
+                raise
+            raise SetUpError(f"{error}\n{MENDED}") from error
+        record: dict[str, Any] = {"key": key(configured, node_image), "images": []}
         self._write_record(record)
         return record
 
@@ -158,10 +171,14 @@ class KindCluster(ReachedThroughApiServer):
             raise SetUpError(f"kind cluster {CLUSTER} is not running: start it with make cluster CLUSTER=kind")
         return GivenNodes(GivenCluster(str(self.kubeconfig())))
 
-    @property
     def _node_image(self) -> str:
-        """Of Nodes; empty: the one that belongs to kind's version."""
-        return os.environ.get(NODE_IMAGE, "")
+        """Of Nodes: the one that is named, else one that was built here of the same sources; empty: the one that
+        belongs to kind's version."""
+        named = os.environ.get(NODE_IMAGE, "")
+        if named or not (engine := engines.found()):
+            return named
+        built = naming.reference()
+        return built if engines.has(engine, built) else ""
 
     def _ready(self) -> bool:
         try:

@@ -58,6 +58,7 @@ ORDER = (
     "cluster/test_refusals_without_admission",
     "cluster/test_other_cluster",
     "cluster/test_cluster_of_others",
+    "kind/test_use_case_on_kind",
     "cluster/test_interrupting",
     "cluster/test_scenarios",
 )

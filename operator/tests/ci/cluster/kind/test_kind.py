@@ -16,11 +16,12 @@ from ci.cluster.kind.provider import KindCluster
 from ci.cluster_contract import topology
 from ci.cluster_contract.topology import Topology
 from ci.errors import InputError, SetUpError
+from ci.kind_node_image import engines, naming
 from robotkube.foundation.kubernetes.core.node_agents import node_agents
 from tests.stages.paths import SCENARIOS
 from tests.stages.registry.built_images import built_image
 
-pytestmark = pytest.mark.processes
+pytestmark = pytest.mark.toolchain
 
 SCENARIO = SCENARIOS / "pose-point-cloud-db-recording" / "scenario.yaml"
 # A cluster is a file; one whose image is called `broken` cannot be made.
@@ -33,11 +34,22 @@ if words[:2] == ["get", "clusters"]:
     print("another", "robotkube" if there.exists() else "", sep="\\n")
 elif "broken" in words:
     sys.exit('ERROR: failed to create cluster: pulling image "broken": not found')
+elif words[0] == "create" and "--image" not in words and there.with_name("offline").exists():
+    sys.exit('ERROR: failed to create cluster: failed to pull image "kindest/node:v1": command "docker pull" failed')
 elif words[0] == "create":
-    there.touch()
+    there.write_text(words[words.index("--image") + 1] if "--image" in words else "")
     pathlib.Path(words[words.index("--kubeconfig") + 1]).touch()
 elif words[0] == "delete":
     there.unlink()
+"""
+# Its one image is the one that is named in a file.
+DOCKER = """#!{python}
+import pathlib, sys
+if sys.argv[1:] == ["-v"]:
+    print("Docker version 20.10.24")
+elif sys.argv[1:3] == ["image", "inspect"]:
+    file = pathlib.Path({there!r})
+    sys.exit(not file.exists() or file.read_text() != sys.argv[3])
 """
 Asked = Callable[[], list[str]]
 
@@ -45,14 +57,15 @@ Asked = Callable[[], list[str]]
 @pytest.fixture
 def asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Asked:
     """What kind was asked since this was asked last, but for what there is."""
-    program = tmp_path / "bin" / "kind"
-    program.parent.mkdir()
-    program.write_text(KIND.format(python=sys.executable, there=str(tmp_path / "cluster")))
-    program.chmod(0o755)
-    monkeypatch.setenv("PATH", str(program.parent), prepend=":")
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    for name, text, there in (("kind", KIND, "cluster"), ("docker", DOCKER, "image")):
+        (folder / name).write_text(text.format(python=sys.executable, there=str(tmp_path / there)))
+        (folder / name).chmod(0o755)
+    monkeypatch.setenv("PATH", str(folder), prepend=":")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.delenv(provider.NODE_IMAGE, raising=False)
-    monkeypatch.delenv(WORKERS, raising=False)
+    for name in (provider.NODE_IMAGE, engines.CHOICE, WORKERS):
+        monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(KindCluster, "_ready", lambda _: True)
 
     def words() -> list[str]:
@@ -158,6 +171,28 @@ def test_one_that_could_not_be_made_is_no_cluster(asked: Asked, monkeypatch: pyt
     monkeypatch.delenv(provider.NODE_IMAGE)
     KindCluster().up(nodes(1), ())
     assert asked() == ["create cluster"] * 2
+
+
+def test_an_image_of_nodes_that_was_built_here_is_taken(
+    asked: Asked, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Once the engine has it, unless another one is named; the cluster is made anew for it."""
+    (tmp_path / "offline").touch()
+    words = (
+        r'failed to pull image "kindest/node:v1".*\n.*make kind-node-image builds one, which is then taken; KIND_NODE'
+    )
+    with pytest.raises(SetUpError, match=words):
+        KindCluster().up(nodes(1), ())
+    (tmp_path / "image").write_text("localhost/robotkube-kind-node:of-other-sources")
+    with pytest.raises(SetUpError, match="make kind-node-image builds one"):
+        KindCluster().up(nodes(1), ())
+    (tmp_path / "image").write_text(naming.reference())
+    KindCluster().up(nodes(1), ())
+    assert (tmp_path / "cluster").read_text() == naming.reference()
+    monkeypatch.setenv(provider.NODE_IMAGE, "kindest/node:v9.9.9")
+    KindCluster().up(nodes(1), ())
+    assert (tmp_path / "cluster").read_text() == "kindest/node:v9.9.9"
+    assert asked() == [*["create cluster"] * 3, "delete cluster", "create cluster"]
 
 
 def test_one_that_somebody_else_made_is_left_alone(asked: Asked, tmp_path: Path) -> None:
