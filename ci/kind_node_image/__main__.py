@@ -57,6 +57,8 @@ def _load() -> str:
     engine = engines.found()
     if not engine:  # before anything is built
         raise SetUpError(NO_ENGINE)
+    if said := engines.problem(engine):
+        raise SetUpError(f"{engine} is there and cannot be used: {said}")
     reference = naming.reference()
     if not engines.has(engine, reference):
         Docker(naming.cache_folder() / "build.log", engine).load(ensure(), reference)

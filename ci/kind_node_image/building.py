@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import platform
 import shutil
 import subprocess
 import tempfile
@@ -21,6 +22,7 @@ from ci.steps import Steps
 from ci.toolchain import go
 
 STEPS = 5
+MACHINE = "x86_64"
 FREE_BYTES_MIN = 5_000_000_000
 UNPACKED_SECONDS_MAX = 300
 # as in kind's own: it tells systemd where it is, systemd ends on this signal alone
@@ -36,6 +38,8 @@ SETTINGS_OF_NODES = {
 
 def ensure() -> Path:
     """The archive; SetUpError or BuildError says what is missing or went wrong."""
+    if platform.machine() != MACHINE:
+        raise SetUpError(f"the image of nodes is built for {MACHINE} alone, and this is {platform.machine()}")
     binaries = preparing.tool_chain()
     packages.ensure("toolchain", "images")
     reference = naming.reference()

@@ -9,6 +9,7 @@ CHOICE = "KIND_EXPERIMENTAL_PROVIDER"
 KNOWN = {"docker": "Docker version", "podman": "podman version"}
 """Programs in kind's order, and how their answer to -v begins; kind knows more of them."""
 ASKED_SECONDS_MAX = 30
+WORDS_MAX = 500
 
 
 def found() -> str:
@@ -16,6 +17,12 @@ def found() -> str:
     chosen = os.environ.get(CHOICE, "")
     names = [name for name in KNOWN if name == chosen] if chosen else list(KNOWN)
     return next((name for name in names if _answers(name)), "")
+
+
+def problem(engine: str) -> str:
+    """What an engine says when it cannot be used, for example because its daemon does not run; empty: it can."""
+    done = subprocess.run([engine, "version"], capture_output=True, text=True, timeout=ASKED_SECONDS_MAX, check=False)
+    return (done.stderr or done.stdout).strip()[-WORDS_MAX:] if done.returncode else ""
 
 
 def has(engine: str, reference: str) -> bool:

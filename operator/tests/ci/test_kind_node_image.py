@@ -117,6 +117,19 @@ def test_the_engine_is_the_one_that_kind_finds(programs: Path, monkeypatch: pyte
     assert engines.found() == ""
 
 
+def test_an_engine_that_does_not_run_is_said_before_anything_is_built(
+    programs: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = programs / "docker"
+    lines = ["import sys", "if sys.argv[1] == '-v':", "    sys.exit(print('Docker version 29.0.1'))"]
+    lines += ["sys.exit('Cannot connect to the Docker daemon. Is the docker daemon running?')"]
+    program.write_text("\n".join([f"#!{sys.executable}", *lines, ""]), encoding="utf-8")
+    program.chmod(0o755)
+    monkeypatch.setattr(sys, "argv", ["kind_node_image"])
+    assert command.main() == 3
+    assert "docker is there and cannot be used: Cannot connect to the Docker daemon" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [

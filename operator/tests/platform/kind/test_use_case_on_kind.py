@@ -28,7 +28,7 @@ REPORT = PROJECT / "build" / "reports" / SCENARIO.name / "report.json"
 LOAD_SECONDS_MAX, CREATE_SECONDS_MAX, DEMO_SECONDS_MAX, DOWN_SECONDS_MAX = 300, 400, 1500, 300
 SERVICE = "https://kubernetes.default.svc.cluster.local"
 # It finds the API server by its Service's name, and keeps a word on a volume of the class that kind has.
-JOB = f"""
+JOB = rf"""
 apiVersion: v1
 kind: PersistentVolumeClaim
 metadata: {{name: kept}}
@@ -50,7 +50,9 @@ spec:
             - sh
             - -euc
             - |
-              kubectl --server {SERVICE} --insecure-skip-tls-verify get --raw /version
+              account=/var/run/secrets/kubernetes.io/serviceaccount
+              kubectl --server {SERVICE} --certificate-authority $account/ca.crt --token "$(cat $account/token)" \
+                get --raw /version
               echo word >/kept/file
               cat /kept/file
           resources: {{requests: {{cpu: 20m, memory: 32Mi}}, limits: {{cpu: 20m, memory: 32Mi}}}}
