@@ -12,12 +12,13 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from ci import kind_cli, packages, preparing
+from ci import kind_cli, packages
 from ci.errors import SetUpError
 from ci.kind_node_image import naming, programs, root_folder
 from ci.kind_node_image.archives import MadeImage, whole_layer, write
 from ci.kind_node_image.component_images import Parts, component_images, sandbox_image
 from ci.kind_node_image.node import SETTINGS, empty, furnish, preload
+from ci.machine import preparing
 from ci.steps import Steps
 from ci.toolchain import go
 

@@ -43,7 +43,7 @@ class KindCluster(ReachedThroughApiServer):
 
     kind = "kind"
     name = CLUSTER
-    _lacks = (
+    LACKS = (
         "what publishers push to the forge is not pulled by Nodes: images are loaded into them",
         "bags and ledgers are copied by pods in the agents' namespaces, which the inspector names while they are there",
         "Nodes of the role platform get no taint: pods of others may run beside the platform's",
@@ -58,7 +58,7 @@ class KindCluster(ReachedThroughApiServer):
     def lacks(self) -> tuple[str, ...]:
         """See NodesProvider.lacks."""
         states = self.nodes() if self.kubeconfig().exists() else ()
-        return (*self._lacks, *filter(None, (sharing.trial_of(states),)))
+        return (*self.LACKS, *filter(None, (sharing.trial_of(states),)))
 
     def up(self, topology: Topology, wanted: Sequence[Image]) -> None:
         """See Provider.up."""

@@ -10,14 +10,17 @@ from collections.abc import Iterator
 
 import pytest
 
-from ci import kind_cli, preparing
-from ci.cluster import cgroups, choosing, topology
-from ci.cluster.kind.configuration import CLUSTER, configuration
+from ci import kind_cli
+from ci.cluster import choosing
+from ci.cluster.kind.configuration import CLUSTER, WORKERS, configuration
 from ci.cluster.kind.provider import KindCluster
-from ci.cluster.topology import Topology
+from ci.cluster_contract import topology
+from ci.cluster_contract.topology import Topology
 from ci.folders import PROJECT
+from ci.images import preparation
 from ci.kind_node_image import building, naming
 from ci.kind_node_image.component_images import NETWORK
+from ci.machine import cgroups, preparing
 from scenarios import definition
 from tests.stages.kind.docker_engine import DockerEngine, docker_engine, left_of
 from tests.stages.platform.running_platform import SCENARIO, VARIANT, spoken
@@ -64,7 +67,7 @@ spec:
 @pytest.fixture(scope="module")
 def engine(pytestconfig: pytest.Config) -> Iterator[DockerEngine]:
     """The engine, which has the image; it is made here when it is not in the cache, in about ten minutes."""
-    prepared = preparing.everything()
+    prepared = preparation.everything()
     with spoken(pytestconfig):
         choosing.remove_running(lambda text: print(f"\n{text}", file=sys.stderr, flush=True))
         building.ensure()
@@ -92,10 +95,15 @@ def test_the_image_that_is_made_here_boots_a_cluster(engine: DockerEngine) -> No
     engine.run(kind, "delete", "cluster", f"--name={CLUSTER}", kubeconfig, seconds=DOWN_SECONDS_MAX)
 
 
-def test_the_use_case_runs_there_and_nothing_stays(engine: DockerEngine, pytestconfig: pytest.Config) -> None:
+@pytest.mark.parametrize("workers", [None, 2], ids=["each alone", "two workers"])
+def test_the_use_case_runs_there_and_nothing_stays(
+    engine: DockerEngine, pytestconfig: pytest.Config, workers: int | None
+) -> None:
+    """On a worker for each node of the scenario, and in trial mode: platform and cloud on one, vehicles on another."""
     with spoken(pytestconfig):
         print("\nthe use case on a cluster by kind, six minutes", file=sys.stderr, flush=True)
     words = ["CLUSTER=kind", f"VARIANT={VARIANT}", "KEEP_DRIVING=0"]
+    words += [f"{WORKERS}={workers}"] if workers else []
     REPORT.unlink(missing_ok=True)
     said = engine.attempt("make", "demo", *words, seconds=DEMO_SECONDS_MAX)
     assert REPORT.exists(), said.stdout[-2000:] + said.stderr[-4000:]
@@ -103,8 +111,9 @@ def test_the_use_case_runs_there_and_nothing_stays(engine: DockerEngine, pytestc
     failed = [row for row in report["expectations"] if not row["passed"]]
     assert (said.returncode, failed) == (0, []), said.stdout[-4000:] + said.stderr[-4000:]
     assert {row["name"] for row in report["expectations"]} >= set(definition.load(SCENARIO, [], VARIANT).expectations)
-    for text in KindCluster.lacks:
+    for text in KindCluster.LACKS:
         assert f"a cluster of kind kind: {text}" in report["warnings"]
+    assert any("trial mode: agents share Nodes" in text for text in report["warnings"]) == bool(workers)
     assert f"of {naming.reference()}" in said.stderr
     removed = engine.run("make", "down", "CLUSTER=kind", seconds=DOWN_SECONDS_MAX)
     assert f"kind cluster {CLUSTER} with its containers and volumes" in removed
