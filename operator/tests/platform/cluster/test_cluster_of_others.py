@@ -122,7 +122,7 @@ def _console_answers_forwards_alone(cluster: ClusterOfOthers) -> None:
     assert {"cloud-0", "vehicle-00", "vehicle-01"} <= set(fleet["items"]["agents"])
     asked = ("get", "pods", "-n", "robotkube", "-l", "app.kubernetes.io/component=console", "-o", POD_ADDRESS)
     address = subprocess.run([*kubectl, *asked], capture_output=True, text=True, timeout=60, check=True).stdout
-    assert http_calls.get(f"http://{address}:{HEALTH_PORT}/healthz", timeout=10).status_code == HTTPStatus.OK
+    assert http_calls.get(f"http://{address}:{HEALTH_PORT}/metrics", timeout=10).status_code == HTTPStatus.OK
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection((address, CONSOLE_PORT), timeout=10)
 
