@@ -241,10 +241,13 @@ def limits(rendered: Any) -> tuple[str, str, str]:
     return hard["requests.cpu"], hard["requests.memory"], limit["max"]["memory"]
 
 
-def test_the_former_name_of_the_limits_counts_with_a_warning(helm: Any, platform: Any, tmp_path: Path) -> None:
+def test_the_limits_are_those_that_the_schema_states(platform: Any) -> None:
     stated = json.loads((PLATFORM / "values.schema.json").read_text())["properties"]["suites"]["properties"]
     defaults = [stated["testNamespace"]["properties"][key]["default"] for key in ("cpu", "memory", "memory")]
     assert limits(platform) == ("1", "4Gi", "4Gi") == tuple(defaults)
+
+
+def test_the_former_name_of_the_limits_counts_with_a_warning(helm: Any, tmp_path: Path) -> None:
     assert limits(helm.template(PLATFORM, PROFILE, suites={"testNamespace": {"cpu": "3"}})) == ("3", "4Gi", "4Gi")
     one_each = {"testNamespace": {"cpu": "3"}, "room": {"memory": "8Gi"}}
     assert limits(helm.template(PLATFORM, PROFILE, suites=one_each)) == ("3", "8Gi", "8Gi")

@@ -6,12 +6,14 @@ The calls are those the platform's set-up makes on a MongoDB server too.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pymongo
 import pytest
 from pymongo.errors import OperationFailure
+
+from tests.stages.recording.database_server import DatabaseServer
 
 pytestmark = pytest.mark.toolchain
 
@@ -23,11 +25,41 @@ Database = pymongo.database.Database[dict[str, Any]]
 @pytest.fixture
 def own(database_server: Any) -> Database:
     """The recorder's own database, with a document in it and one in another's."""
-    database_server.create_account("recorder", "secret", OWN)
-    database_server.client()[OTHER]["samples"].insert_one({"_id": "theirs"})
-    database: Database = database_server.client("recorder", "secret", OWN)[OWN]
+    return filled(database_server)
+
+
+def filled(server: DatabaseServer) -> Database:
+    server.create_account("recorder", "secret", OWN)
+    server.client()[OTHER]["samples"].insert_one({"_id": "theirs"})
+    database: Database = server.client("recorder", "secret", OWN)[OWN]
     database["samples"].insert_one({"_id": "mine"})
     return database
+
+
+@pytest.fixture(scope="module")
+def refusing_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DatabaseServer]:
+    """One for all tests of what is refused, which leaves nothing behind."""
+    server = DatabaseServer(tmp_path_factory.mktemp("database") / "server")
+    server.start()
+    yield server
+    server.close()
+
+
+@pytest.fixture(scope="module")
+def filled_once(refusing_server: DatabaseServer) -> Database:
+    return filled(refusing_server)
+
+
+@pytest.fixture
+def kept(refusing_server: DatabaseServer, filled_once: Database) -> Iterator[Database]:
+    """The same as `own`, and everything in it is there afterwards, for its account."""
+    yield filled_once
+    assert filled_once["samples"].find_one() == {"_id": "mine"}
+    root = refusing_server.client()
+    assert {name: list(root[name]["samples"].find()) for name in (OWN, OTHER)} == {
+        OWN: [{"_id": "mine"}],
+        OTHER: [{"_id": "theirs"}],
+    }
 
 
 def refused(call: Callable[[], object]) -> int | None:
@@ -63,8 +95,8 @@ def test_account_uses_its_own_database(own: Database) -> None:
 
 
 @pytest.mark.parametrize("database", [OTHER, "admin", "local", "config", "neverseen"])
-def test_account_is_refused_on_another_database(own: Database, database: str) -> None:
-    theirs = own.client[database]
+def test_account_is_refused_on_another_database(kept: Database, database: str) -> None:
+    theirs = kept.client[database]
     for call in (
         lambda: theirs["samples"].find_one(),
         lambda: theirs["samples"].count_documents({}),
@@ -95,8 +127,8 @@ def test_account_is_refused_on_another_database(own: Database, database: str) ->
     ],
     ids=lambda command: next(iter(command)),
 )
-def test_commands_that_reach_further_than_their_database_need_root(own: Database, command: dict[str, Any]) -> None:
-    assert refused(lambda: own.command(command)) == UNAUTHORIZED
+def test_commands_that_reach_further_than_their_database_need_root(kept: Database, command: dict[str, Any]) -> None:
+    assert refused(lambda: kept.command(command)) == UNAUTHORIZED
 
 
 def test_getmore_on_a_foreign_cursor_is_refused(own: Database, database_server: Any) -> None:
@@ -118,8 +150,8 @@ def test_a_reading_account_cannot_write(database_server: Any) -> None:
 @pytest.mark.parametrize(
     "roles", [["dbOwner"], [{"role": "readWrite", "db": "admin"}], ["root"], [{"role": "readWrite"}], [1]]
 )
-def test_unsupported_roles_are_refused_when_given(database_server: Any, roles: list[Any]) -> None:
-    assert refused(lambda: database_server.client()[OWN].command("createUser", "a", pwd="x", roles=roles)) == BAD_VALUE
+def test_unsupported_roles_are_refused_when_given(refusing_server: DatabaseServer, roles: list[Any]) -> None:
+    assert refused(lambda: refusing_server.client()[OWN].command("createUser", "a", pwd="x", roles=roles)) == BAD_VALUE
 
 
 def test_an_account_without_roles_may_nothing(database_server: Any) -> None:
