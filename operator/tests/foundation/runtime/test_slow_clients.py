@@ -2,6 +2,7 @@
 
 import select
 import socket
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import pytest
 
 from robotkube.foundation.documents.core.json_codec import LEVELS_MAX
+from robotkube.foundation.runtime.adapters import webhook_server
 from robotkube.foundation.runtime.adapters.bounded_connections import (
     ANSWER_SECONDS_MAX,
     BODY_SECONDS_MAX,
@@ -309,6 +311,16 @@ def test_without_a_health_port_there_is_one_port() -> None:
     assert list(server.ports) == ["port"]
     assert http_calls.get(f"http://{HERE}:{server.port}/readyz").status_code == 200
     server.stop()
+
+
+def test_a_server_that_waits_for_a_connection_ends_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(webhook_server, "POLL_SECONDS", 600.0)  # so that nothing else ends the wait
+    server = WebServer(HERE, 0, list, str, health_port=0)
+    server.start()
+    assert http_calls.get(f"http://{HERE}:{server.port}/livez").status_code == 200
+    ending = threading.Thread(target=server.stop, daemon=True)
+    ending.start()
+    until(lambda: not ending.is_alive(), "the end of both ports")
 
 
 def test_half_a_request_is_none(start: Callable[..., Served], caplog: pytest.LogCaptureFixture) -> None:

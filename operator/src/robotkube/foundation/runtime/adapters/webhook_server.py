@@ -23,10 +23,12 @@ from __future__ import annotations
 import io
 import json
 import logging
+import socket
 import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -50,6 +52,7 @@ from robotkube.foundation.runtime.core.webhook_deliveries import (
 BODY_BYTES_MAX = 4 * 1024 * 1024
 LENGTH_DIGITS_MAX = 20  # of Content-Length
 SHUTDOWN_SECONDS_MAX = 5.0
+POLL_SECONDS = 0.2
 
 log = logging.getLogger(__name__)
 
@@ -170,7 +173,7 @@ class _Server(ThreadingHTTPServer):
         self.request_queue_size = bounds.connections
         self._places = ConnectionPlaces(bounds, monotonic)
         super().__init__((address, port), _Handler)
-        self._thread = threading.Thread(target=self.serve_forever, kwargs={"poll_interval": 0.2}, daemon=True)
+        self._thread = threading.Thread(target=self.serve_forever, kwargs={"poll_interval": POLL_SECONDS}, daemon=True)
 
     @property
     def port(self) -> int:
@@ -188,6 +191,8 @@ class _Server(ThreadingHTTPServer):
     def stop(self) -> None:
         """End, and end kept connections: a delivery must not go to a process that has stopped listening."""
         if self._thread.is_alive():
+            with suppress(OSError):
+                self.socket.shutdown(socket.SHUT_RDWR)  # ends the wait for a connection, of up to POLL_SECONDS
             self.shutdown()
             self._thread.join(SHUTDOWN_SECONDS_MAX)
         self.server_close()
