@@ -3,6 +3,7 @@ and admission, whose containerd knows no image but that of sandboxes, and pulls 
 
 from __future__ import annotations
 
+import os
 import subprocess
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -83,8 +84,11 @@ def made(
 
 
 def _machine(name: str, nodes: Sequence[NodeSpec]) -> NodeSpec:
-    """A machine as large as these nodes of a scenario, with the volumes that the last one's role has."""
+    """A machine as large as these nodes of a scenario, but not larger than this one, with the volumes that the last
+    one's role has."""
     cpu, memory = sum(one.cpu_millicores for one in nodes), sum(one.memory_bytes for one in nodes)
+    cpu = min(cpu, 1000 * (os.cpu_count() or 1))
+    memory = min(memory, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     return replace(nodes[-1], name=name, cpu_millicores=cpu, memory_bytes=memory)
 
 
