@@ -9,6 +9,7 @@ import io
 import json
 import subprocess
 import tarfile
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from typing import IO, Any
 from ci.errors import SetUpError
 
 BLOCK_BYTES = 2**20
-WRITING_SECONDS_MAX = 900
+ENDED_SECONDS_MAX = 60  # after it has written all
 FASTEST = 1  # of gzip: nodes unpack more often than images are made
 SAME = ("--sort=name", "--mtime=@0", "--owner=0", "--group=0", "--numeric-owner")
 
@@ -75,10 +76,10 @@ def stored(command: Sequence[str], file: Path, compressed: bool) -> MadeLayer:
     """What a command writes as a layer; SetUpError has its words when it fails."""
     with (
         file.open("wb") as out,
-        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as made,
+        tempfile.TemporaryFile() as words,
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=words) as made,
     ):
         assert made.stdout is not None
-        assert made.stderr is not None
         target: IO[bytes] | gzip.GzipFile = gzip.GzipFile("", "wb", FASTEST, out, mtime=0) if compressed else out
         digest = hashlib.sha256()
         while block := made.stdout.read(BLOCK_BYTES):
@@ -86,8 +87,9 @@ def stored(command: Sequence[str], file: Path, compressed: bool) -> MadeLayer:
             target.write(block)
         if compressed:
             target.close()
-        said = made.stderr.read().decode(errors="replace").strip()
-        if made.wait(WRITING_SECONDS_MAX):
+        if made.wait(ENDED_SECONDS_MAX):
+            words.seek(0)
+            said = words.read().decode(errors="replace").strip()
             raise SetUpError(f"{' '.join(command[:3])}: {said[-1000:]}")
     return MadeLayer(file, digest.hexdigest())
 
