@@ -87,7 +87,11 @@ class Installer:
             return self.argocd_of_others()
         source = toolchain.module_dir("github.com/argoproj/argo-cd/v3") / "manifests" / "install.yaml"
         pulled = {name: moved(reference, self.profile.registry) for name, reference in references.items()}
-        manifests = render.render(source.read_text(encoding="utf-8"), pulled, stated_networks(self.profile))
+        stated = stated_values(self.profile)
+        nodes = stated.get("platform", {}).get("nodeSelector") or render.PLATFORM_NODES
+        manifests = render.render(
+            source.read_text(encoding="utf-8"), pulled, stated.get("networkPolicies") or {}, nodes
+        )
         self.namespace(ARGOCD, RESTRICTED)
         self.repo_server_clients()
         apply = ("apply", "--server-side", "--force-conflicts", "-n", ARGOCD, "-f", "-")
@@ -265,15 +269,13 @@ class Installer:
         return "\n".join(lines)
 
 
-def stated_networks(profile: ChartProfile) -> Mapping[str, Any]:
-    """What a profile says of the chart's network policies."""
+def stated_values(profile: ChartProfile) -> Mapping[str, Any]:
+    """What a profile says of the platform's chart, its files and values laid over each other."""
     stated: dict[str, Any] = {}
-    for values in (
-        *(yaml.safe_load((CHART / name).read_text(encoding="utf-8")) for name in profile.files),
-        profile.values,
-    ):
-        stated = merged(stated, {"networkPolicies": values.get("networkPolicies") or {}})
-    return dict(stated.get("networkPolicies", {}))
+    files = (yaml.safe_load((CHART / name).read_text(encoding="utf-8")) for name in profile.files)
+    for values in (*files, profile.values):
+        stated = merged(stated, values)
+    return stated
 
 
 def what_hangs(text: str, hanging: Sequence[str]) -> str:

@@ -33,10 +33,8 @@ DROPPED_KINDS = {"NetworkPolicy"}
 IMAGES = {"quay.io/argoproj/argocd": "argocd", "public.ecr.aws/docker/library/redis": "redis"}
 # Images by digest do not say which Argo CD runs; `robotkube preflight` reads it here.
 VERSION_LABEL = "app.kubernetes.io/version"
-PLACE: Object = {
-    "nodeSelector": {"robotkube.io/role": "platform"},
-    "tolerations": [{"key": "robotkube.io/role", "operator": "Equal", "value": "platform", "effect": "NoSchedule"}],
-}
+PLATFORM_NODES: Mapping[str, str] = MappingProxyType({"robotkube.io/role": "platform"})
+TOLERATIONS = [{"key": "robotkube.io/role", "operator": "Equal", "value": "platform", "effect": "NoSchedule"}]
 # Requests are small and there is no CPU limit: all of it stands on the way from a commit to its pods.
 RESOURCES: dict[str, tuple[str, str, str]] = {  # container -> CPU and memory requested, memory limit
     "argocd-application-controller": ("150m", "256Mi", "1Gi"),
@@ -141,22 +139,28 @@ TOKEN: Object = {
 }
 
 
-def render(manifests: str, images: Mapping[str, str], network_policies: Mapping[str, Any] = NOTHING) -> str:
+def render(
+    manifests: str,
+    images: Mapping[str, str],
+    network_policies: Mapping[str, Any] = NOTHING,
+    nodes: Mapping[str, str] = PLATFORM_NODES,
+) -> str:
     """The manifests to apply, as YAML.
 
     `manifests` is the text of Argo CD's install.yaml; `images` maps `argocd` and `redis` to references (further keys
-    are ignored); `network_policies` are the values of this name that the platform's chart gets. Raises ValueError when
-    a reference is missing or a workload is not one this module knows.
+    are ignored); `network_policies` are the values of this name that the platform's chart gets, `nodes` the labels of
+    the Nodes that it is to run on. Raises ValueError when a reference is missing or a workload is not one this module
+    knows.
     """
     missing = [name for name in IMAGES.values() if not images.get(name)]
     if missing:
         raise ValueError(f"Argo CD: no image reference for {', '.join(missing)}; add them to the images file")
     documents = filter(None, yaml.load_all(manifests, Loader=_LOADER))
-    objects = [*_rendered(documents, images), *network.policies(NAMESPACE, network_policies)]
+    objects = [*_rendered(documents, images, nodes), *network.policies(NAMESPACE, network_policies)]
     return yaml.dump_all(objects, Dumper=_DUMPER, sort_keys=True)
 
 
-def _rendered(documents: Iterator[Object], images: Mapping[str, str]) -> Iterator[Object]:
+def _rendered(documents: Iterator[Object], images: Mapping[str, str], nodes: Mapping[str, str]) -> Iterator[Object]:
     for document in documents:
         if not _kept(document):
             continue
@@ -167,7 +171,7 @@ def _rendered(documents: Iterator[Object], images: Mapping[str, str]) -> Iterato
         if document["kind"] == "ClusterRole":
             document["rules"] = READER_RULES
         if document["kind"] in {"Deployment", "StatefulSet"}:
-            _adapt_workload(document, images)
+            _adapt_workload(document, images, nodes)
         yield document
 
 
@@ -178,13 +182,13 @@ def _kept(document: Object) -> bool:
     return document["kind"] not in DROPPED_KINDS and not any(part in name for part in DROPPED_PARTS)
 
 
-def _adapt_workload(workload: Object, images: Mapping[str, str]) -> None:
+def _adapt_workload(workload: Object, images: Mapping[str, str], nodes: Mapping[str, str]) -> None:
     name = workload["metadata"]["name"]
     pod = workload["spec"]["template"]["spec"]
     if version := _version(pod):
         workload["metadata"].setdefault("labels", {})[VERSION_LABEL] = version
-    pod["nodeSelector"] = {**pod.get("nodeSelector", {}), **PLACE["nodeSelector"]}
-    pod["tolerations"] = [*pod.get("tolerations", []), *PLACE["tolerations"]]
+    pod["nodeSelector"] = {**pod.get("nodeSelector", {}), **nodes}
+    pod["tolerations"] = [*pod.get("tolerations", []), *TOLERATIONS]
     pod["dnsConfig"] = NAMES
     for volume in pod.get("volumes", []):
         if volume["name"] == CLIENTS:

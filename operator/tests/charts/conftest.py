@@ -16,7 +16,7 @@ import yaml
 
 from ci import toolchain
 from ci.cluster_contract.provider import ChartProfile
-from ci.installation import stated_networks
+from ci.installation import stated_values
 from gitops.argocd.render import render
 from tests.stages.paths import REPOSITORY
 from tests.stages.programs import SELDOM_COLLECTING, program
@@ -183,5 +183,5 @@ def argocd() -> list[Object]:
     """Argo CD for the embedded cluster, from the manifests of the version the tool chain pins."""
     source = toolchain.module_dir("github.com/argoproj/argo-cd/v3") / "manifests" / "install.yaml"
     images = {"argocd": "registry.example/argocd@sha256:1", "redis": "registry.example/redis@sha256:2"}
-    stated = stated_networks(ChartProfile(("values-embedded.yaml",)))
+    stated = stated_values(ChartProfile(("values-embedded.yaml",)))["networkPolicies"]
     return list(yaml.load_all(render(source.read_text(encoding="utf-8"), images, stated), Loader=LOADER))

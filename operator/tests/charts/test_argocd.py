@@ -56,6 +56,13 @@ def test_runs_five_workloads_with_our_images_on_the_platform_node(argocd: list[O
             assert {"requests", "limits"} <= set(container["resources"])
 
 
+def test_it_runs_where_the_platform_does(argocd: list[Object]) -> None:
+    """On a Node that the platform shares it has another label."""
+    assert pod(argocd, "argocd-redis")["nodeSelector"]["robotkube.io/role"] == "platform"
+    [shared] = yaml.safe_load_all(render(WORKLOAD, IMAGES, {"enabled": False}, {"agent.robotkube.io/platform-0": "1"}))
+    assert shared["spec"]["template"]["spec"]["nodeSelector"] == {"agent.robotkube.io/platform-0": "1"}
+
+
 def test_its_workloads_say_their_version(argocd: list[Object]) -> None:
     """Images by digest do not; the module's own version is that of its manifests."""
     version = toolchain.module_dir("github.com/argoproj/argo-cd/v3").name.partition("@")[2]

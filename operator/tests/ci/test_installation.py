@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from ci.cluster_contract.provider import ChartProfile
-from ci.installation import Installer, chosen_volumes, stated_networks
+from ci.installation import Installer, chosen_volumes, stated_values
 from scenarios import demo
 
 
@@ -53,10 +53,10 @@ def test_what_is_bound_or_could_run_on_several_nodes_is_left_to_the_scheduler() 
 def test_argo_cd_hears_of_the_network_what_the_chart_hears() -> None:
     """Files of the profile first, then its values."""
     own = {"networkPolicies": {"apiServer": {"to": [{"ipBlock": {"cidr": "192.0.2.10/32"}}]}}}
-    stated = stated_networks(ChartProfile(("values-embedded.yaml",), own))
+    stated = stated_values(ChartProfile(("values-embedded.yaml",), own))["networkPolicies"]
     assert stated["apiServer"] == {"to": own["networkPolicies"]["apiServer"]["to"], "ports": [6443]}
     assert stated["dns"]["to"][0] == {"ipBlock": {"cidr": "10.89.0.1/32"}}
-    assert stated_networks(ChartProfile(values={"storage": {}})) == {}
+    assert stated_values(ChartProfile(values={"storage": {}})) == {"storage": {}}
 
 
 class Installed(Installer):
