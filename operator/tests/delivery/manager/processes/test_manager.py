@@ -162,7 +162,7 @@ def test_an_entry_edited_to_verified_without_evidence_is_no_verified_version(
     installation: Installation, manager: RunningManager
 ) -> None:
     """Somebody who may write the catalogue writes a newer version of the detector by hand, and withdraws the proved."""
-    digest, version = "sha256:" + "d" * 64, "0.2.3"
+    digest, version = "sha256:" + "d" * 64, "0.2.4"
     proved = CATALOGUE["charts/event-detector/0.2.3.yaml"]
     edited = unproved_chart("event-detector", version, digest)
     edited["charts/event-detector/0.2.3.yaml"] = proved.replace("state: verified", "state: withdrawn")
@@ -175,7 +175,7 @@ def test_an_entry_edited_to_verified_without_evidence_is_no_verified_version(
         until(lambda: manager.tasks.condition(KEY, "Accepted")[0] == "False", "refused")
         assert manager.tasks.condition(KEY, "Accepted") == ("False", "NoVerifiedVersion")
         text = manager.tasks.objects[KEY]["status"]["conditions"][0]["message"]
-        assert "event-detector 0.2.3 (verified): no valid evidence: suite static: there is no evidence" in text
+        assert "event-detector 0.2.4 (verified): no valid evidence: suite static: there is no evidence" in text
         assert "event-detector 0.2.3 (withdrawn): state withdrawn is not allowed" in text
         assert manager.tasks.reports == [(KEY, "NoVerifiedVersion", text)]
     finally:
