@@ -67,6 +67,23 @@ async function findsViolations(browser) {
   await page.context().close();
 }
 
+/** Who moves on before a view was painted is followed: here as soon as the form's choice is in the document. */
+async function movesOnAtOnce(browser) {
+  const { page, complaints } = await openPage(browser, `${url}#/tasks`);
+  await page.getByRole("link", { name: "Ask for an application" }).waitFor();
+  await page.evaluate(() => {
+    new MutationObserver((_, observer) => {
+      if (!document.querySelector("main.form select")) return;
+      observer.disconnect();
+      location.hash = "#/tasks/ask/pose-point-cloud-recording";
+    }).observe(document.body, { childList: true, subtree: true });
+    location.hash = "#/tasks/ask";
+  });
+  await page.getByLabel("vehicles", { exact: false }).waitFor();
+  assert.deepEqual(complaints, []);
+  await page.context().close();
+}
+
 /** By keyboard alone: choose an application, fill the form, see what would happen, submit. */
 async function ask(browser) {
   const { page, complaints } = await openPage(browser, `${url}#/tasks/ask/pose-point-cloud-recording`);
@@ -97,6 +114,7 @@ await withBrowser(async (browser) => {
   await look(browser, "desk", false);
   await look(browser, "phone", true);
   if (mode === "live") await findsViolations(browser);
+  if (mode === "live") await movesOnAtOnce(browser);
   if (mode === "live") await ask(browser);
 });
 console.log(`${mode}: as it should be`);

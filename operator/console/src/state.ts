@@ -1,6 +1,6 @@
 /** What the parts of the page share: the live table, the place in the page, the session. */
 import { createContext } from "preact";
-import { useContext, useEffect, useReducer, useRef, useState } from "preact/hooks";
+import { useContext, useEffect, useLayoutEffect, useReducer, useRef, useState } from "preact/hooks";
 import { Live } from "./live/live";
 import type { Item, Kind, Session, WhyKind } from "./live/model";
 import { tracksOf } from "./map/fleet";
@@ -57,10 +57,13 @@ export function useNow(): number {
   return now;
 }
 
-/** The place in the page: the words behind `#/`. */
+/**
+ * The place in the page: the words behind `#/`. It listens before the view is painted: who is quick, as a browser that
+ * has much to do lets people be, moves on before an effect would have begun.
+ */
 export function usePlace(): readonly string[] {
   const [place, set] = useState(placeOf(location.hash));
-  useEffect(() => {
+  useLayoutEffect(() => {
     const moved = (): void => set(placeOf(location.hash));
     addEventListener("hashchange", moved);
     return () => removeEventListener("hashchange", moved);
