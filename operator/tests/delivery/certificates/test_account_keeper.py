@@ -257,6 +257,26 @@ def test_the_keeper_is_ready_when_accounts_have_theirs_and_says_why_not(stage: S
     assert named["robotkube_certificates_issued_total"].values[()] == 4
 
 
+def test_servers_are_renewed_while_a_fleets_accounts_take_long(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each account takes a sixth of a certificate's life, and the server's is due a day after the look began."""
+    issuance = Issuance("robotkube", "tls-authority", "robotkube-ca", ("robotkube",), (BROKER,), ISSUANCE)
+    keeper = CertificateKeeper(stage.objects, issuing, issuance, lambda: stage.now, stage.keeper)
+    keeper.step()
+    stage.objects.accounts.clear()
+    stage.now += 2 / 3 * BROKER.seconds - DAY
+    put = stage.objects.put_of_account
+
+    def slowly(account: AccountCertificate, certificate: Pair) -> None:
+        put(account, certificate)
+        stage.now += 1 / 6 * BROKER.seconds
+
+    monkeypatch.setattr(stage.objects, "put_of_account", slowly)
+    before = keeper.issued
+    keeper.step()
+    assert stage.objects.written[-2:] == ["observer", "vehicle-00"]
+    assert keeper.issued == before + 1
+
+
 def test_between_two_looks_main_is_asked_and_a_word_of_it_is_followed_at_once(stage: Stage) -> None:
     """The usual pause is a minute; the test ends it by saying whom main shuts out, and then by stopping."""
     issuance = Issuance("robotkube", "tls-authority", "robotkube-ca", ("robotkube",), (BROKER,), ISSUANCE)

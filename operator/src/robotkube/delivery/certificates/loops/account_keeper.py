@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import TypeVar
 
 from robotkube.delivery.certificates.core.issuance import AccountCertificate, AccountIssuance
 from robotkube.delivery.certificates.core.register import IssuedCertificate, Register
@@ -13,6 +14,19 @@ from robotkube.errors import InputError, RobotKubeError, UnavailableError
 from robotkube.foundation.certificates.core.lives import Life, Pair, reason_to_replace
 
 log = logging.getLogger(__name__)
+
+T = TypeVar("T")
+
+
+def _nothing() -> None:
+    """Do nothing meanwhile."""
+
+
+def _with(meanwhile: Callable[[], None], items: Iterable[T]) -> Iterator[T]:
+    """The items, with a call before each."""
+    for item in items:
+        meanwhile()
+        yield item
 
 
 @dataclass(frozen=True)
@@ -60,25 +74,26 @@ class AccountKeeper:
             if account.account in self.lives:
                 yield account, self.lives[account.account]
 
-    def keep(self, authority: Pair) -> None:
+    def keep(self, authority: Pair, meanwhile: Callable[[], None] = _nothing) -> None:
         """Issue what is due, and revoke what main shuts out. Who may not be at the broker gets nothing; while nobody
         says who that is, everybody keeps and gets his, but accounts that are reserved or revoked; `problem` says so.
-        What fails for one account keeps no other from its own: it is raised at the end."""
+        What fails for one account keeps no other from its own: it is raised at the end. `meanwhile` is called between
+        two accounts: a fleet's certificates take seconds."""
         self._authority = authority.certificate
         failures: list[RobotKubeError] = []
         shut = self._asked()
         register, revocations = self._objects.register()
-        present = self._read(failures)
+        present = self._read(failures, meanwhile)
         self.lives = self._described(present, authority)
         adopted = self._adopted(register.kept(self._wall()))
         revoking = adopted.revoking(shut or (), self._issuance.certificates, self._wall())
-        after, due = self._issue(revoking, list(present), shut, authority)
+        after, due = self._issue(revoking, _with(meanwhile, present), shut, authority)
         if after != register or self._issuer.listed(revocations, authority) != frozenset(after.revoked):
             # before any of it is shown: what is not in the register cannot be revoked
             text = self._issuer.revocation_list(authority, after.revoked, self._wall())
             self._objects.put_register(after, text)
             self._tell_revoked(register, after)
-        for one in due:
+        for one in _with(meanwhile, due):
             self._put(one, authority, failures)
         revoked = after.revoked
         self.lives = {name: life for name, life in self.lives.items() if life.serial not in revoked}
@@ -86,10 +101,12 @@ class AccountKeeper:
         if failures:
             raise failures[0]
 
-    def _read(self, failures: list[RobotKubeError]) -> dict[AccountCertificate, Pair | None]:
+    def _read(
+        self, failures: list[RobotKubeError], meanwhile: Callable[[], None]
+    ) -> dict[AccountCertificate, Pair | None]:
         """The certificates of the accounts whose Secret can be read."""
         present = {}
-        for account in self._issuance.certificates:
+        for account in _with(meanwhile, self._issuance.certificates):
             try:
                 present[account] = self._objects.of_account(account)
             except RobotKubeError as error:

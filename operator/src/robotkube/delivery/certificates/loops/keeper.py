@@ -49,13 +49,14 @@ class CertificateKeeper:
         self.problem = "nothing was looked at yet"
         self.lives: dict[str, Life] = {}
         self.issued = self.published = self.failed = 0
+        lives = [one.seconds for one in issuance.certificates]
+        lives += [] if issuance.accounts is None else [issuance.accounts.seconds]
+        self._interval = min(CHECK_SECONDS, *(CHECK_SHARE * seconds for seconds in lives))
+        self._servers_at = 0.0  # when servers' certificates were looked at last, by `wall`
 
     def run(self, stopping: threading.Event) -> None:
         """Keep them until `stopping` is set."""
-        lives = [one.seconds for one in self._issuance.certificates]
-        lives += [] if self._issuance.accounts is None else [self._issuance.accounts.seconds]
-        interval = min(CHECK_SECONDS, *(CHECK_SHARE * seconds for seconds in lives))
-        failures = 0
+        interval, failures = self._interval, 0
         while not stopping.wait(0.0):
             self.step()
             failures = failures + 1 if self.problem else 0
@@ -93,10 +94,24 @@ class CertificateKeeper:
                 self._objects.publish(namespace, authority.certificate)
                 self.published += 1
                 log.info("authority published namespace=%s", namespace)
+        self._keep_servers(authority)
+        if self._accounts is not None:
+            self._accounts.keep(authority, lambda: self._keep_servers_meanwhile(authority))
+
+    def _keep_servers(self, authority: Pair) -> None:
+        self._servers_at = self._wall()
         for certificate in self._issuance.certificates:
             self.lives[certificate.secret] = self._renewed(certificate, authority)
-        if self._accounts is not None:
-            self._accounts.keep(authority)
+
+    def _keep_servers_meanwhile(self, authority: Pair) -> None:
+        """Look at servers as often as between two looks at everything: those of a fleet's accounts are due all at once,
+        and servers whose certificate ends meanwhile would be reached by nobody. What fails is met by the next look."""
+        if abs(self._wall() - self._servers_at) < self._interval:
+            return
+        try:
+            self._keep_servers(authority)
+        except RobotKubeError as error:
+            log.warning("certificates: not all are as they should be: %s", error)
 
     def _authority(self) -> Pair:
         authority = self._objects.authority()
