@@ -36,8 +36,8 @@ WAYS = {
     "broker stays": Older("aed7bbe2743869f7df8c0b597ea62efe2c86417e", broker_restarts=False),
     "broker restarts": Older("878855eb0663bb3dbff321c4f6729c31f3bd0355", broker_restarts=True),
 }
-# As who wants nothing lost says it (UPGRADING.md): certificates of accounts come when kubelets bring them, up to two
-# minutes later; bridges keep poses for 60 s, and a rule waits as long for an agent that is silent.
+# As UPGRADING.md says it for who renders without a cluster; a platform that is there keeps passwords by itself as well.
+# Changing over takes up to two minutes until kubelets have brought certificates; bridges keep poses for 60 s.
 PRESENT_VALUES: Mapping[str, Any] = {"tls": {"accounts": "passwords"}}
 
 
