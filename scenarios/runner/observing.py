@@ -3,6 +3,7 @@ pods."""
 
 from __future__ import annotations
 
+import ssl
 import struct
 import threading
 import time
@@ -14,7 +15,8 @@ from kubernetes import watch
 from paho.mqtt import client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
-from robotkube.foundation.certificates.adapters.verification import sentence
+from robotkube.errors import InputError
+from robotkube.foundation.certificates.adapters.verification import load_authorities, load_own, sentence
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.core.batches import BatchError, decode_batch
 from robotkube.robots.mqtt.core.client_ids import client_id
@@ -35,40 +37,44 @@ STOP_SECONDS_MAX = 5.0
 @dataclass
 class BrokerObserver:
     """Counts the clouds that cross the broker, batch by batch, and keeps the results of perception. Used with `start`
-    and `stop`."""
+    and `stop`. `read_account` is called before each connection: a certificate may have been replaced since the last."""
 
-    account: BrokerAccount
+    read_account: Callable[[], BrokerAccount]
     _messages: list[BrokerMessages] = field(default_factory=list)
     _results: list[BrokerResult] = field(default_factory=list)
     _subscribed: threading.Event = field(default_factory=threading.Event)
     _since: int = 0
     _gaps: int = 0
     _ending: bool = False
+    _refusal: str = "no answer"
+    _context: ssl.SSLContext | None = None
 
     def start(self) -> None:
         """Connects and subscribes; raises `RunError` when the broker refuses it."""
+        account = self.read_account()
         self._client = mqtt.Client(
-            CallbackAPIVersion.VERSION2, client_id=client_id(f"observer-{time.time_ns()}", self.account.password)
+            CallbackAPIVersion.VERSION2, client_id=client_id(f"observer-{time.time_ns()}", account.password)
         )
-        if self.account.login is not None:
-            self._client.username_pw_set(*self.account.login)
-        context = self.account.context()
-        if context is not None:
-            self._client.tls_set_context(context)
+        if account.login is not None:
+            self._client.username_pw_set(*account.login)
+        self._context = account.context()
+        if self._context is not None:
+            self._client.tls_set_context(self._context)
+            self._client.on_pre_connect = self._prove_anew
         self._client.on_connect = self._on_connect
         self._client.on_disconnect = self._on_disconnect
         self._client.on_subscribe = self._on_subscribe
         self._client.on_message = self._on_message
-        broker = f"broker {self.account.host}:{self.account.port}"
+        broker = f"broker {account.host}:{account.port}"
         try:
-            self._client.connect(self.account.host, self.account.port, keepalive=20)
+            self._client.connect(account.host, account.port, keepalive=20)
         except OSError as error:
-            words = error if self.account.tls is None else sentence(error, self.account.tls)
+            words = error if account.tls is None else sentence(error, account.tls)
             raise RunError(f"{broker}: {words}") from error
         self._client.loop_start()
         if not self._subscribed.wait(CONNECT_SECONDS_MAX):
             self._client.loop_stop()
-            raise RunError(f"{broker}: did not let {self.account.username} subscribe to {CLOUDS}")
+            raise RunError(f"{broker}: did not let {account.username} subscribe to {CLOUDS}: {self._refusal}")
 
     def stop(self) -> BrokerLog:
         """Ends; returns what was seen."""
@@ -78,18 +84,36 @@ class BrokerObserver:
         self._client.loop_stop()
         return BrokerLog(self._since, until, self._gaps, tuple(self._messages), tuple(self._results))
 
+    def _prove_anew(self, _client: Any, _data: Any) -> None:
+        """Prove oneself by what the platform has for the account now; by what was there before, while the platform
+        cannot be asked."""
+        try:
+            account = self.read_account()
+            if self._context is None or account.tls is None:
+                return
+            load_authorities(self._context, account.tls)
+            if account.certificate is not None:
+                load_own(self._context, account.certificate)
+        except (RunError, InputError) as error:
+            self._refusal = str(error)
+
     def _on_connect(self, client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
-        if not reason.is_failure:
+        if reason.is_failure:
+            self._refusal = f"connection refused: {reason}"
+        else:
             client.subscribe([(CLOUDS, 0), (RESULTS, 0)])
 
     def _on_subscribe(self, _client: Any, _data: Any, _number: Any, reasons: Any, _properties: Any) -> None:
-        if any(reason.is_failure for reason in reasons):
+        refused = [str(reason) for reason in reasons if reason.is_failure]
+        if refused:
+            self._refusal = f"subscription refused: {', '.join(refused)}"
             return
         self._since = self._since or time.time_ns()
         self._subscribed.set()
 
-    def _on_disconnect(self, *_arguments: Any) -> None:
+    def _on_disconnect(self, _client: Any, _data: Any, _flags: Any, reason: Any, _properties: Any) -> None:
         self._gaps += not self._ending
+        self._refusal = f"connection ended: {reason}"
 
     def _on_message(self, _client: Any, _data: Any, message: Any) -> None:
         if mqtt.topic_matches_sub(RESULTS, message.topic):

@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -168,7 +169,7 @@ def _run(
             nodes=nodes,
             deployment=deployment,
             catalogue=catalogue,
-            observer=BrokerObserver(access.broker_account("broker-account-observer", Path(mounted))),
+            observer=BrokerObserver(partial(access.broker_account, "broker-account-observer", Path(mounted))),
             pods=PodWatch(access, [node.agent for node in scenario.nodes], _print_progress),
             tasks=TaskWatch(access, _print_progress),
             sampler=CpuSampler(machines.cpu_folder() if machines else None),
