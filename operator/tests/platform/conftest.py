@@ -55,6 +55,7 @@ ORDER = (
     *(f"table_one/test_p{number:02}" for number in range(1, 11)),
     "cluster/test_lifecycle",
     "cluster/test_upgrade_under_load",
+    "cluster/test_short_certificates",
     "cluster/test_refusals_without_admission",
     "cluster/test_other_cluster",
     "cluster/test_cluster_of_others",

@@ -7,25 +7,18 @@ Each way is played on the same cluster `test`, which is made for these tests and
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 
 from ci import publish
-from ci.cluster.choosing import Choice
-from ci.cluster.embedded.provider import Embedded
-from ci.cluster_contract import topology
-from ci.images import preparation
-from ci.installation import ARGOCD, CHART, GATE, INSTALL_TIMEOUT_SECONDS, NAMESPACE, NO_VALUES
-from ci.steps import Steps
-from scenarios import definition, demo
-from scenarios.runner.access import Access, pod_ready
+from ci.installation import ARGOCD, CHART, GATE, INSTALL_TIMEOUT_SECONDS, NAMESPACE
+from scenarios.runner.access import pod_ready
+from tests.stages.platform.bare_platform import bare_platform, install
 from tests.stages.platform.older_charts import (
     COLUMN,
     DEFINITIONS,
@@ -36,7 +29,7 @@ from tests.stages.platform.older_charts import (
     older_chart,
     versions,
 )
-from tests.stages.platform.running_platform import NAME, SCENARIO, STEPS, Platform, eventually, spoken
+from tests.stages.platform.running_platform import SCENARIO, Platform, eventually, spoken
 from tests.stages.platform.story import Story, play
 
 pytestmark = pytest.mark.thorough
@@ -121,12 +114,6 @@ def recorder_runs(platform: Platform) -> bool:
     )
 
 
-def install(platform: Platform, chart: Path, values: Mapping[str, Any] = NO_VALUES) -> None:
-    """`helm upgrade --install` of a chart with the images of today; returns when everything is rolled out."""
-    wanted = topology.read(SCENARIO / "scenario.yaml", {"vehicles": str(len(platform.scenario.vehicles))})
-    platform.installer.platform(preparation.everything().references(), wanted, chart, values)
-
-
 def go_back(platform: Platform) -> None:
     """`helm rollback`, until everything is rolled out."""
     platform.installer.helm("rollback", NAMESPACE, "-n", NAMESPACE, "--timeout", f"{INSTALL_TIMEOUT_SECONDS}s")
@@ -147,17 +134,8 @@ def there_and_back(platform: Platform) -> tuple[Seen, Seen, Seen]:
 @pytest.fixture(scope="module")
 def bare(pytestconfig: pytest.Config, no_demo: None) -> Iterator[Platform]:
     """A cluster with Argo CD, on which the platform is not installed yet."""
-    scenario = definition.load(SCENARIO, [], VARIANT)
-    settings = {"vehicles": str(len(scenario.vehicles))}
-    with spoken(pytestconfig):
-        Embedded(NAME, Path()).down()
-        installer = demo.bring_up(demo.Request(SCENARIO, settings, Choice(NAME), "cluster"), Steps(STEPS))
-        installer.argocd(preparation.everything().references())
-    platform = Platform(installer, Embedded(NAME, installer.binaries), Access(installer.kubeconfig), scenario)
-    yield platform
-    platform.access.disconnect()
-    if os.environ.get("ROBOTKUBE_KEEP_CLUSTER") != "1":
-        platform.provider.down()
+    with bare_platform(pytestconfig, VARIANT) as platform:
+        yield platform
 
 
 @pytest.fixture(scope="module", params=WAYS.values(), ids=list(WAYS))

@@ -53,7 +53,7 @@ def play(platform: Platform, scenario: Path, variant: str, folder: Path, seconds
     before, pods = counters(platform), {}
     output, talk = folder / "output", folder / "talk"
     command = [sys.executable, "-m", "scenarios.runner", "run", str(scenario), "--name", platform.name]
-    command += ["--variant", variant, "--reports", str(folder)]
+    command += [*(("--variant", variant) if variant else ()), "--reports", str(folder)]
     with output.open("w") as out, talk.open("w") as said:
         process = subprocess.Popen(command, cwd=PROJECT, stdout=out, stderr=said)
         try:
