@@ -19,24 +19,14 @@ from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 
-from benchmarks import (
-    admission,
-    application_manager,
-    application_manager_cluster,
-    bridging,
-    encounters,
-    encryption,
-    event_detector,
-    files,
-    gate,
-    links,
-    narrow_uplink,
-    planning,
-    publication,
-    registry,
-    rights,
-)
-from benchmarks.measuring import Comparison
+from benchmarks import files
+from benchmarks.bridges import narrow_uplink, processor_time
+from benchmarks.broker import encryption, links, rights
+from benchmarks.delivery import application_manager, gate, planning
+from benchmarks.detector import event_detector
+from benchmarks.measuring.comparisons import Comparison
+from benchmarks.platform import applying, encounters, publication
+from benchmarks.registry import admission, catalogue
 from ci.errors import SetUpError
 from ci.folders import PROJECT
 from ci.test import preparing
@@ -45,18 +35,18 @@ REPORT = PROJECT / "build" / "reports" / "benchmarks.json"
 BENCHMARKS: dict[str, Callable[[], list[Comparison]]] = {
     "planning": planning.compare,
     "files": files.compare,
-    "bridging": bridging.compare,
+    "bridging": processor_time.compare,
     "encryption": encryption.compare,
     "event-detector": event_detector.compare,
     "narrow-uplink": narrow_uplink.compare,
     "links": links.compare,
     "rights": rights.compare,
-    "registry": registry.compare,
+    "registry": catalogue.compare,
     "gate": gate.compare,
     "admission": admission.compare,
     "application-manager": application_manager.compare,
     "publication": publication.compare,
-    "application-manager-cluster": application_manager_cluster.compare,
+    "application-manager-cluster": applying.compare,
     "encounters": encounters.compare,
 }
 NEED_IMAGES = frozenset({"publication", "application-manager-cluster", "encounters"})

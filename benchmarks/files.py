@@ -8,7 +8,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.measuring import Comparison, seconds
+from benchmarks.measuring.comparisons import Comparison, seconds
 from ci.folders import PROJECT
 from ci.machine import preparing
 from robotkube.registry.charts.adapters.chart_folders import pack

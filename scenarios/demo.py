@@ -26,9 +26,10 @@ from ci.steps import Steps
 from scenarios import definition
 from scenarios.definition import Scenario, ScenarioError
 from scenarios.generator import routes
-from scenarios.runner import driving, needs, running
-from scenarios.runner.access import Access
-from scenarios.runner.inspection import ROBOTKUBE
+from scenarios.runner import running
+from scenarios.runner.platform.access import Access
+from scenarios.runner.platform.inspection import ROBOTKUBE
+from scenarios.runner.playing import driving, needs
 
 STOPS = ("cluster", "platform", "scenario")
 STEPS = {"cluster": 3, "platform": 6, "scenario": 7}

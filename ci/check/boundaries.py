@@ -20,8 +20,8 @@ SKELETONS = "skeletons"  # files for others to start from, no modules
 ROS = ("rclpy", "rosbag2_py", "rosidl_runtime_py")
 ROS_HOME = "operator/src/robotkube/robots/ros/adapters/"
 ROS_ELSEWHERE = {
-    "benchmarks/naive_bridge.py": "a baseline: stands for what other people write",
-    "benchmarks/naive_detector.py": "a baseline: stands for what other people write",
+    "benchmarks/bridges/naive_bridge.py": "a baseline: stands for what other people write",
+    "benchmarks/detector/naive_detector.py": "a baseline: stands for what other people write",
 }
 PROVIDERS = "ci.cluster"
 CHOOSING = f"{PROVIDERS}.choosing"

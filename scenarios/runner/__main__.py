@@ -16,8 +16,9 @@ from ci.cluster_contract.provider import Provider
 from ci.errors import SetUpError
 from scenarios import definition
 from scenarios.definition import ScenarioError
-from scenarios.runner import driving, running
-from scenarios.runner.access import Access
+from scenarios.runner import running
+from scenarios.runner.platform.access import Access
+from scenarios.runner.playing import driving
 from scenarios.runner.waiting import RunError
 
 

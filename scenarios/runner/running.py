@@ -17,23 +17,6 @@ from ci.folders import PROJECT
 from scenarios import definition
 from scenarios.definition import Scenario, cloud_topic, pose_topic
 from scenarios.generator import bags, checking, coverage, routes
-from scenarios.runner import (
-    cables,
-    collecting,
-    driving,
-    evidence,
-    inspection,
-    needs,
-    policy,
-    proposing,
-    report,
-    timeline,
-)
-from scenarios.runner.access import PLATFORM, Access, Endpoint
-from scenarios.runner.acting import Actor, merge_plans
-from scenarios.runner.cables import Cables, UntouchedCables
-from scenarios.runner.cpu import CpuSampler
-from scenarios.runner.deployment import CATALOGUE, Deployment, specification_digests
 from scenarios.runner.inputs import (
     NANOSECONDS,
     STORY,
@@ -46,12 +29,22 @@ from scenarios.runner.inputs import (
     RunInputs,
     Stored,
 )
-from scenarios.runner.observing import BrokerObserver, PodWatch
-from scenarios.runner.page import page, value
-from scenarios.runner.placing import place_bags
-from scenarios.runner.readiness import Readiness
-from scenarios.runner.showing import Showing, showing
-from scenarios.runner.tasks import TaskWatch
+from scenarios.runner.judging import evidence
+from scenarios.runner.observing import collecting
+from scenarios.runner.observing.broker_and_pods import BrokerObserver, PodWatch
+from scenarios.runner.observing.cpu import CpuSampler
+from scenarios.runner.observing.tasks import TaskWatch
+from scenarios.runner.platform import inspection, proposing
+from scenarios.runner.platform.access import PLATFORM, Access, Endpoint
+from scenarios.runner.platform.deployment import CATALOGUE, Deployment, specification_digests
+from scenarios.runner.platform.placing import place_bags
+from scenarios.runner.playing import cables, driving, needs, policy
+from scenarios.runner.playing.acting import Actor, merge_plans
+from scenarios.runner.playing.cables import Cables, UntouchedCables
+from scenarios.runner.playing.readiness import Readiness
+from scenarios.runner.reporting import report, timeline
+from scenarios.runner.reporting.page import page, value
+from scenarios.runner.reporting.showing import Showing, showing
 from scenarios.runner.waiting import RunError, wait_for
 
 REPORTS = PROJECT / "build" / "reports"

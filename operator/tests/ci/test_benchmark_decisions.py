@@ -7,9 +7,9 @@ from importlib.util import find_spec
 
 import pytest
 
-from benchmarks import application_manager, decisions
-from benchmarks.application_manager import checkout, compare_revisions, decision_record, known, together
-from benchmarks.measuring import Quantiles
+from benchmarks.delivery import application_manager, decisions
+from benchmarks.delivery.application_manager import checkout, compare_revisions, decision_record, known, together
+from benchmarks.measuring.comparisons import Quantiles
 from ci.errors import SetUpError
 from ci.folders import PROJECT
 

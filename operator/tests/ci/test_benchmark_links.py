@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import links, rights
-from benchmarks.links import LinkAges
-from benchmarks.measuring import Quantiles
+from benchmarks.broker import links, rights
+from benchmarks.broker.links import LinkAges
+from benchmarks.measuring.comparisons import Quantiles
 
 
 def of(p99: float) -> Quantiles:

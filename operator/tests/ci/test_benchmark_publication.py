@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import registry
-from benchmarks.publication import Costs, compare, comparison, suite_seconds
+from benchmarks.platform.publication import Costs, compare, comparison, suite_seconds
+from benchmarks.registry import catalogue
 from ci import publish
 from ci.cluster import choosing
 from ci.cluster.embedded import cleaning
@@ -92,7 +92,7 @@ def world(published: Mapping[str, str], tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(demo, "bring_up", made.bring_up)
     monkeypatch.setattr(publish, "publish", made.publish)
     monkeypatch.setattr(choosing, "Embedded", Embedded)
-    monkeypatch.setattr(registry, "RECORD", tmp_path / "bench" / "registry.json")
+    monkeypatch.setattr(catalogue, "RECORD", tmp_path / "bench" / "registry.json")
     return made
 
 
@@ -115,7 +115,7 @@ def test_it_is_measured_on_a_cluster_of_its_own_and_recorded(world: BenchmarkSta
     [kept] = set(world.kept)
     assert kept is not None
     assert not kept.exists()
-    recorded = json.loads(registry.RECORD.read_text())
+    recorded = json.loads(catalogue.RECORD.read_text())
     assert recorded["publish_seconds"] == {"static": 3.0, "install": 9.0}
     assert recorded["publish_all_s"] == 90.0
     assert 0 <= recorded["publish_unchanged_s"] < 90
@@ -137,7 +137,7 @@ def test_a_refused_publication_leaves_no_cluster_and_no_figures(world: Benchmark
     with pytest.raises(SetUpError, match="the gate refused"):
         compare()
     assert world.done[-1] == "down test"
-    assert not registry.RECORD.exists()
+    assert not catalogue.RECORD.exists()
 
 
 def test_a_repetition_that_publishes_is_no_baseline(world: BenchmarkStage) -> None:
@@ -145,4 +145,4 @@ def test_a_repetition_that_publishes_is_no_baseline(world: BenchmarkStage) -> No
     with pytest.raises(SetUpError, match="publishing the same again gave published, published, published"):
         compare()
     assert world.running == set()
-    assert not registry.RECORD.exists()
+    assert not catalogue.RECORD.exists()

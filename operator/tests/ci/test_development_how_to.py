@@ -12,7 +12,7 @@ from pathlib import Path
 import httpx
 import pytest
 
-from benchmarks.pods import free_port
+from benchmarks.measuring.pods import free_port
 from tests.stages import http_calls
 from tests.stages.kubernetes.api_calls import Api
 from tests.stages.kubernetes.api_server import ApiServerProcess

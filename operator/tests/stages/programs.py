@@ -6,7 +6,7 @@ import functools
 import os
 from pathlib import Path
 
-from benchmarks.pods import free_port as free_port
+from benchmarks.measuring.pods import free_port as free_port
 from ci import toolchain
 from ci.machine import preparing
 

@@ -244,7 +244,7 @@ def test_every_module_is_formatted_and_read() -> None:
 
 
 def test_the_adapter_and_the_baselines_import_ros(place: Path) -> None:
-    write(place, "benchmarks/naive_bridge.py", "import rclpy\n")
+    write(place, "benchmarks/bridges/naive_bridge.py", "import rclpy\n")
     path = place / boundaries.ROS_HOME / "node.py"
     write(place, str(path.relative_to(place)), "import rclpy\n")
     assert not [line for line in findings(place) if "knows ROS" in line]

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from robotkube.cli import main as cli
-from scenarios.runner import inspection
+from scenarios.runner.platform import inspection
 from tests.stages.paths import REPOSITORY
 
 PAGES = sorted(

@@ -13,9 +13,9 @@ from kubernetes import client
 from ci.cluster_contract.provider import ServicePort
 from robotkube.robots.bags.core.playback import read_run
 from scenarios import definition
-from scenarios.runner import acting, driving
-from scenarios.runner.access import GATE, PLATFORM, Access
-from scenarios.runner.tasks import TaskWatch
+from scenarios.runner.observing.tasks import TaskWatch
+from scenarios.runner.platform.access import GATE, PLATFORM, Access
+from scenarios.runner.playing import acting, driving
 from scenarios.runner.waiting import RunError
 from tests.stages.kubernetes.api_calls import Api
 from tests.stages.kubernetes.api_server import ApiServerProcess

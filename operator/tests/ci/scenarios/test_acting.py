@@ -11,9 +11,10 @@ import pytest
 from kubernetes import client
 
 from robotkube.delivery.tasks.core.task_description import read_task
-from scenarios.runner import acting, listening
 from scenarios.runner.inputs import Plan
-from scenarios.runner.tasks import TaskWatch
+from scenarios.runner.observing.tasks import TaskWatch
+from scenarios.runner.platform import listening
+from scenarios.runner.playing import acting
 from scenarios.runner.waiting import RunError
 from scenarios.steps import read_steps
 

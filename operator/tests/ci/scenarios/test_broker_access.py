@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from robotkube.foundation.certificates.adapters.verification import ServerVerification
-from scenarios.runner.access import Access, Endpoint
+from scenarios.runner.platform.access import Access, Endpoint
 
 HOST = "broker.robotkube.svc.cluster.local"
 ACCOUNT = {"username": "observer", "password": "secret", "host": HOST, "port": "8883"}

@@ -13,9 +13,13 @@ from typing import Any
 import pytest
 
 from robotkube.foundation.documents.core.digests import sha256
-from scenarios.runner import acting, collecting, expectations, page, report, running
-from scenarios.runner.encounters import encounters
+from scenarios.runner import running
 from scenarios.runner.inputs import STORY, Plan, ReleasedChart, RunInputs
+from scenarios.runner.judging import expectations
+from scenarios.runner.judging.encounters import encounters
+from scenarios.runner.observing import collecting
+from scenarios.runner.playing import acting
+from scenarios.runner.reporting import page, report
 from scenarios.runner.waiting import RunError
 from tests.stages.registry.signed_evidence import Signing, artefact, signing_key
 

@@ -10,11 +10,11 @@ from xml.etree.ElementTree import Element, fromstring
 
 import pytest
 
-from scenarios.runner.drawings import ages, cores, coverage, distances, trajectories, ways
-from scenarios.runner.drawings.figures import Drawing, NoDrawingError, shortened
-from scenarios.runner.drawings.gallery import DRAWINGS, OLDER, gallery
-from scenarios.runner.drawings.reading import at, finite, rows
-from scenarios.runner.drawings.scales import Scale, step_of
+from scenarios.runner.reporting.drawings import ages, cores, coverage, distances, trajectories, ways
+from scenarios.runner.reporting.drawings.figures import Drawing, NoDrawingError, shortened
+from scenarios.runner.reporting.drawings.gallery import DRAWINGS, OLDER, gallery
+from scenarios.runner.reporting.drawings.reading import at, finite, rows
+from scenarios.runner.reporting.drawings.scales import Scale, step_of
 
 Place = tuple[float, float]
 TENTH = 0.051  # of a unit: how exactly places are written

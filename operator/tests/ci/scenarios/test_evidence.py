@@ -13,8 +13,8 @@ from robotkube.errors import InputError
 from robotkube.foundation.documents.core.digests import canonical_json, sha256
 from robotkube.registry.evidence.adapters.dsse import KeyFile, TrustedKeys
 from robotkube.registry.evidence.core.statements import VerifiedStatement, suite_statement
-from scenarios.runner import evidence
 from scenarios.runner.inputs import ReleasedChart
+from scenarios.runner.judging import evidence
 from tests.stages.registry.signed_evidence import POLICY, Signing, artefact, result, signing_key, trusting
 
 HEX = "d" * 64

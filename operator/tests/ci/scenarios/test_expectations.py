@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from scenarios import definition
-from scenarios.runner import page, report, timeline
+from scenarios.runner.reporting import page, report, timeline
 
 SECOND = 1_000_000_000
 CLOUD = "/vehicles/vehicle_00/lidar_center/pointcloud"

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import pygit2
 import pytest
 
-from scenarios.runner.access import Endpoint
-from scenarios.runner.deployment import Deployment
 from scenarios.runner.inputs import MainState
+from scenarios.runner.platform.access import Endpoint
+from scenarios.runner.platform.deployment import Deployment
 
 MAIN = "refs/heads/main"
 

@@ -11,7 +11,8 @@ import pytest
 from ci.cluster_contract.provider import NodeState
 from ci.errors import InputError
 from scenarios import definition
-from scenarios.runner import needs, waiting
+from scenarios.runner import waiting
+from scenarios.runner.playing import needs
 from scenarios.steps import Step, read_steps
 from tests.stages.paths import SCENARIOS
 

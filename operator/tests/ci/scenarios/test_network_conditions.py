@@ -13,8 +13,11 @@ import pytest
 from ci.cluster_contract.network_conditions import Measured, NetworkConditions, Traffic
 from ci.errors import SetUpError
 from scenarios import definition
-from scenarios.runner import cables, naming, network, page, storage
 from scenarios.runner.inputs import AuditGap, HoleDone, NetworkOfRun, RunInputs
+from scenarios.runner.judging import naming, network
+from scenarios.runner.observing import storage
+from scenarios.runner.playing import cables
+from scenarios.runner.reporting import page
 from tests.stages.paths import SCENARIOS
 from tests.stages.waiting import until
 

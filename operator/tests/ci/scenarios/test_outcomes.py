@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 
 from scenarios import definition
-from scenarios.runner import audit, outcomes, page, report, sharing
 from scenarios.runner.inputs import (
     BrokerLog,
     BrokerResult,
@@ -22,6 +21,8 @@ from scenarios.runner.inputs import (
     TaskCondition,
     TaskLife,
 )
+from scenarios.runner.judging import audit, outcomes, sharing
+from scenarios.runner.reporting import page, report
 
 SECOND = 1_000_000_000
 PLACE = "edge-0/object-detection-"

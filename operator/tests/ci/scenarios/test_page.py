@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from jinja2 import UndefinedError
 
-from scenarios.runner.page import page_of
+from scenarios.runner.reporting.page import page_of
 
 PAGES = Path(__file__).parent / "pages"
 

@@ -6,9 +6,10 @@ from urllib.parse import urlparse
 import pytest
 import yaml
 
-from scenarios.runner import audit, evidence, proposing
-from scenarios.runner.access import Endpoint
-from scenarios.runner.deployment import CATALOGUE, REPOSITORY, Deployment, specification_digests
+from scenarios.runner.judging import audit, evidence
+from scenarios.runner.platform import proposing
+from scenarios.runner.platform.access import Endpoint
+from scenarios.runner.platform.deployment import CATALOGUE, REPOSITORY, Deployment, specification_digests
 from scenarios.runner.waiting import RunError
 from tests.stages.forge.catalogue_evidence import trusted_keys
 from tests.stages.forge.installation import CAUSE, DIGESTS, Installation, RunningGate, message, release_files

@@ -16,9 +16,10 @@ from robotkube.delivery.manager.loops.planner import ManagerSettings
 from robotkube.delivery.manager.loops.reconciler import NODES
 from robotkube.foundation.documents.core.quantities import quantity
 from scenarios import definition
-from scenarios.runner import acting, outcomes
 from scenarios.runner.inputs import MainState, RunInputs
-from scenarios.runner.tasks import TaskWatch
+from scenarios.runner.judging import outcomes
+from scenarios.runner.observing.tasks import TaskWatch
+from scenarios.runner.playing import acting
 from scenarios.steps import read_steps
 from tests.stages.delivery.manager_in_memory import CHARTS, Stage
 from tests.stages.paths import WIDEST

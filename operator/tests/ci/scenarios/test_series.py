@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from scenarios.definition import cloud_topic, pose_topic
-from scenarios.runner import page, report, series
-from scenarios.runner.encounters import encounters
 from scenarios.runner.inputs import CoresUsed, RunInputs, TopicCount
-from scenarios.runner.series import thinning
+from scenarios.runner.judging.encounters import encounters
+from scenarios.runner.reporting import page, report, series
+from scenarios.runner.reporting.series import thinning
 from tests.stages.scenarios.healthy_run import SECOND, START, Run
 
 ONE = "vehicle-00"

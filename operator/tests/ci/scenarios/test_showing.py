@@ -7,9 +7,10 @@ import threading
 import pytest
 
 from robotkube.cli.live import moments
-from scenarios.runner import showing, timeline, waiting
+from scenarios.runner import waiting
 from scenarios.runner.inputs import Plan
-from scenarios.runner.showing import Showing, since
+from scenarios.runner.reporting import showing, timeline
+from scenarios.runner.reporting.showing import Showing, since
 from tests.stages.live_platform import NOW, SECOND, LivePlatformInMemory, node, plan, pod, task
 
 

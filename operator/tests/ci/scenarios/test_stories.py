@@ -17,7 +17,8 @@ from ci.installation import platform_values
 from robotkube.delivery.tasks.core.task_description import read_task
 from scenarios import definition, steps
 from scenarios.generator import bags, checking, routes
-from scenarios.runner import acting, expectations, policy, readiness
+from scenarios.runner.judging import expectations
+from scenarios.runner.playing import acting, policy, readiness
 from scenarios.steps import Heard, ReleaseState, State, TaskCount, TaskState
 from tests.stages.paths import REPOSITORY
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import pods
+from benchmarks.measuring import pods
 from robotkube.delivery.console.adapters.broker_poses import SOURCE, BrokerPoses
 from robotkube.delivery.console.core import table as kinds
 from robotkube.delivery.console.loops.model import ReadModel

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks.bags import message
+from benchmarks.measuring.bags import message
 from robotkube.robots.ros.core.common_messages import header_stamp
 from tests.stages.attacks import shown
 from tests.stages.bridge.two_bridges import Side

@@ -15,7 +15,7 @@ import paho.mqtt.client as mqtt
 import pytest
 from paho.mqtt.enums import CallbackAPIVersion
 
-from benchmarks import pods
+from benchmarks.measuring import pods
 from robotkube.delivery.tasks.adapters import kubernetes_tasks, paho_gateway
 from robotkube.writes import WRITES
 from tests.stages.delivery.manager_process import Outside, Pod, write_settings

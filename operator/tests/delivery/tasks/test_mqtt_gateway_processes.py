@@ -15,7 +15,7 @@ import paho.mqtt.client as mqtt
 import pytest
 from paho.mqtt.enums import CallbackAPIVersion
 
-from benchmarks import pods
+from benchmarks.measuring import pods
 from robotkube.delivery.manager.adapters.kubernetes_cluster import KubernetesCluster
 from robotkube.delivery.tasks.adapters.kubernetes_tasks import KubernetesTasks
 from robotkube.delivery.tasks.adapters.paho_gateway import UNACKNOWLEDGED_MAX, PahoGateway

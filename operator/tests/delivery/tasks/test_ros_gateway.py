@@ -12,7 +12,7 @@ import paho.mqtt.client as mqtt
 import pytest
 from paho.mqtt.enums import CallbackAPIVersion
 
-from benchmarks import pods
+from benchmarks.measuring import pods
 from robotkube.delivery.tasks.adapters import paho_gateway
 from robotkube.delivery.tasks.adapters.paho_gateway import PahoGateway
 from robotkube.delivery.tasks.loops.mqtt_gateway import MqttTaskGateway

@@ -15,8 +15,8 @@ import pytest
 
 from robotkube.errors import UnavailableError
 from robotkube.foundation.forge.adapters.git import GitClone
-from scenarios.runner.access import Endpoint
-from scenarios.runner.deployment import Deployment
+from scenarios.runner.platform.access import Endpoint
+from scenarios.runner.platform.deployment import Deployment
 from scenarios.runner.waiting import RunError
 from tests.stages.waiting import WAIT_SECONDS_MAX
 

@@ -7,8 +7,8 @@ import json
 import pytest
 
 from scenarios.definition import pose_topic
-from scenarios.runner import collecting, storage
 from scenarios.runner.inputs import Plan
+from scenarios.runner.observing import collecting, storage
 from tests.stages.platform.running_platform import Platform
 from tests.stages.platform.story import BRIDGE, Story
 

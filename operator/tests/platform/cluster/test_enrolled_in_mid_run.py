@@ -19,8 +19,9 @@ from ci.installation import NAMESPACE
 from robotkube.cli.main import main
 from scenarios.definition import cloud_topic
 from scenarios.generator import bags
-from scenarios.runner import driving, policy, proposing
-from scenarios.runner.placing import place_bags
+from scenarios.runner.platform import proposing
+from scenarios.runner.platform.placing import place_bags
+from scenarios.runner.playing import driving, policy
 from tests.stages.platform.machines import declared, leave, values
 from tests.stages.platform.running_platform import Platform, eventually
 from tests.stages.platform.table_one import Stage

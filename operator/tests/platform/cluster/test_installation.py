@@ -11,7 +11,7 @@ import pytest
 
 from robotkube.cli.main import main
 from scenarios.definition import pose_topic
-from scenarios.runner.access import PLATFORM
+from scenarios.runner.platform.access import PLATFORM
 from tests.stages.kubernetes.installed_chart import CHART
 from tests.stages.platform.running_platform import Platform, eventually
 from tests.stages.platform.table_one import Stage, pose

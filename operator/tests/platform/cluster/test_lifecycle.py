@@ -26,9 +26,9 @@ from ci.images.services import SERVICE_NAMES
 from ci.installation import KEY_SECRET, NAMESPACE
 from ci.steps import Steps
 from scenarios import definition, demo
-from scenarios.runner import collecting
-from scenarios.runner.access import Access
-from scenarios.runner.deployment import Deployment, specification_digests
+from scenarios.runner.observing import collecting
+from scenarios.runner.platform.access import Access
+from scenarios.runner.platform.deployment import Deployment, specification_digests
 from tests.stages.platform.older_charts import columns, older_chart
 from tests.stages.platform.running_platform import NAME, SCENARIO, STEPS, VARIANT, Platform, eventually, spoken
 from tests.stages.platform.story import play

@@ -18,7 +18,7 @@ from ci.errors import SetUpError
 from ci.steps import Steps
 from robotkube.registry.admission.core.policies import API_POLICIES, LIST
 from scenarios import definition, demo
-from scenarios.runner.access import Access
+from scenarios.runner.platform.access import Access
 from tests.stages.platform.running_platform import NAME, SCENARIO, STEPS, VARIANT, Platform, eventually, spoken
 
 pytestmark = pytest.mark.thorough

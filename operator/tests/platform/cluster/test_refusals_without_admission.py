@@ -14,7 +14,7 @@ from ci.cluster.embedded.admission import admission_files
 from ci.cluster.embedded.provider import Embedded
 from ci.steps import Steps
 from scenarios import definition, demo
-from scenarios.runner.access import Access
+from scenarios.runner.platform.access import Access
 from tests.stages.platform.running_platform import (
     NAME,
     SCENARIO,

@@ -15,7 +15,7 @@ import pytest
 
 from ci.folders import PROJECT
 from robotkube.cli import main as cli
-from scenarios.runner import inspection
+from scenarios.runner.platform import inspection
 from tests.stages.platform.running_platform import Platform
 from tests.stages.platform.story import Story
 

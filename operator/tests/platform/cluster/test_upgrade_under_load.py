@@ -17,7 +17,7 @@ import yaml
 
 from ci import publish
 from ci.installation import ARGOCD, CHART, GATE, INSTALL_TIMEOUT_SECONDS, NAMESPACE
-from scenarios.runner.access import pod_ready
+from scenarios.runner.platform.access import pod_ready
 from tests.stages.platform.bare_platform import bare_platform, install
 from tests.stages.platform.older_charts import (
     COLUMN,

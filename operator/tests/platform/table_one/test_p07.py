@@ -22,7 +22,7 @@ from itertools import takewhile
 
 from ci import publish
 from ci.images.image_lock import lock_file, read_lock
-from scenarios.runner import proposing
+from scenarios.runner.platform import proposing
 from tests.stages.platform.running_platform import eventually
 from tests.stages.platform.table_one import BRIDGE, Stage
 

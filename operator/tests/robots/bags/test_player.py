@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.bags import Track, lidar_tracks, message, pose_track, write_bag
+from benchmarks.measuring.bags import Track, lidar_tracks, message, pose_track, write_bag
 from robotkube.errors import InputError, UnavailableError
 from robotkube.robots.bags.adapters.ledger_files import LedgerFiles
 from robotkube.robots.bags.adapters.reading import open_bag

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.data_path import DataPath
+from benchmarks.bridges.data_path import DataPath
 from tests.stages.waiting import until
 
 pytestmark = pytest.mark.processes

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks import pods
+from benchmarks.measuring import pods
 from robotkube.robots.bridge.core import mqtt_client_format as ika
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel

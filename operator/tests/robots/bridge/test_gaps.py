@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.bags import message
+from benchmarks.measuring.bags import message
 from robotkube.robots.bridge.core.losses import OTHERS, TOPICS_MAX, Losses
 from robotkube.robots.bridge.core.outbox import LARGE, MANY, OLD, REFUSED, Outbox, OutboxBounds
 from robotkube.robots.bridge.core.waiting_batches import OutgoingBatch

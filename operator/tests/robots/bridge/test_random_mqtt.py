@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks.bags import message
+from benchmarks.measuring.bags import message
 from robotkube.robots.bridge.core import mqtt_client_format as ika
 from robotkube.robots.mqtt.adapters.paho_client import MqttClient
 from robotkube.robots.mqtt.core.batches import MAGIC, encode_batch

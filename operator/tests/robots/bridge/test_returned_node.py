@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import pods
+from benchmarks.measuring import pods
 from robotkube.foundation.kubernetes.adapters.http_client import ApiServer, ConfigMapWatch
 from robotkube.foundation.runtime.loops.fencing import Fencing
 from robotkube.robots.bridge.core.settings import read_bridge_settings

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from benchmarks.bags import message
+from benchmarks.measuring.bags import message
 from robotkube.robots.bridge.core.outbox import LATE, MANY
 from robotkube.robots.bridge.core.pacing import FRESH_SECONDS, SPEED
 from robotkube.robots.mqtt.core.batches import decode_batch

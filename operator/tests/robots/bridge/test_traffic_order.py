@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.bags import message
+from benchmarks.measuring.bags import message
 from tests.stages.bridge.gates import Gates
 from tests.stages.bridge.two_bridges import Stage, running
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks import pods
+from benchmarks.measuring import pods
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
 from tests.stages.detector.event_peer import EventPeer, broker_for_events
 from tests.stages.detector.process import PUBLISHER, is_up

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks import detecting
+from benchmarks.detector import detecting
 
 pytestmark = pytest.mark.processes
 

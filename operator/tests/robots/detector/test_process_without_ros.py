@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks import pods
+from benchmarks.measuring import pods
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
 from robotkube.robots.mqtt.core.batches import encode_batch
 from robotkube.robots.mqtt.core.message_properties import type_properties, types_topic

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks import pods
+from benchmarks.measuring import pods
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel
 from robotkube.robots.mqtt.adapters.paho_client import MqttClient

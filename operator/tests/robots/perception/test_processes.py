@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks import pods
+from benchmarks.measuring import pods
 from robotkube.foundation.documents.core.yaml_codec import write_mapping
 from robotkube.testing.api_server import ApiServerInMemory
 from scenarios.generator import scene

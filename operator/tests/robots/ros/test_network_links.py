@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import pods
+from benchmarks.measuring import pods
 from robotkube.robots.ros.adapters.network_links import (
     LINK_SECONDS_MAX,
     LOOPBACK,

@@ -8,12 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import pods
+from benchmarks.measuring import pods
+from ci.folders import PROJECT
 
 pytestmark = pytest.mark.processes
 
 MESSENGER = "tests.stages.ros.routed_messenger"
-ENVIRONMENT = {"PYTHONPATH": f"{pods.ROOT / 'operator' / 'src'}:{pods.ROOT / 'operator'}:{pods.ROOT}"}
+ENVIRONMENT = {"PYTHONPATH": f"{PROJECT / 'operator' / 'src'}:{PROJECT / 'operator'}:{PROJECT}"}
 END_SECONDS_MAX = 60
 
 

@@ -10,8 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from benchmarks import pods
-from benchmarks.bags import message
+from benchmarks.measuring import pods
+from benchmarks.measuring.bags import message
 from robotkube.foundation.runtime.loops.fencing import Fencing
 from robotkube.robots.bridge.core.settings import read_bridge_settings
 from robotkube.robots.bridge.loops.bridge import Bridge

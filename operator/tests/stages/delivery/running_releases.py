@@ -16,12 +16,12 @@ from typing import Any
 
 import yaml
 
-from benchmarks import pods
+from benchmarks.measuring import pods
 from robotkube.delivery.deployment.core.releases import Release
 from robotkube.robots.ros.core.common_messages import STAMPED_TYPES
 from robotkube.testing.api_server import ApiServerInMemory
 from scenarios.generator import messages
-from scenarios.runner import listening
+from scenarios.runner.platform import listening
 from tests.stages.delivery.kept_rights import KeptRights
 from tests.stages.delivery.manager_in_memory import Stage
 from tests.stages.delivery.rights_broker import password

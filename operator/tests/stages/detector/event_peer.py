@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks import pods
+from benchmarks.measuring import pods
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel
 

@@ -17,7 +17,7 @@ from ci.images import preparation
 from ci.installation import NO_VALUES
 from ci.steps import Steps
 from scenarios import definition, demo
-from scenarios.runner.access import Access
+from scenarios.runner.platform.access import Access
 from tests.stages.platform.running_platform import NAME, SCENARIO, STEPS, Platform, spoken
 
 

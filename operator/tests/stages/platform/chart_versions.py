@@ -13,7 +13,7 @@ from ci.images.image_lock import lock_file, read_lock
 from robotkube.cli.registry.submit import submit_sources
 from robotkube.registry.publication.adapters.submission_folders import read_sources
 from robotkube.registry.publication.loops.submitting import SubmissionOutcome
-from scenarios.runner import proposing
+from scenarios.runner.platform import proposing
 from tests.stages.platform.running_platform import Platform
 from tests.stages.platform.table_one import Stage
 

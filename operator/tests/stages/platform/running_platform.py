@@ -27,7 +27,7 @@ from ci.steps import Steps
 from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter
 from scenarios import definition, demo
 from scenarios.definition import Scenario
-from scenarios.runner.access import GATE, PLATFORM, Access
+from scenarios.runner.platform.access import GATE, PLATFORM, Access
 from scenarios.runner.waiting import RunError
 from tests.stages import http_calls
 from tests.stages.paths import WIDEST

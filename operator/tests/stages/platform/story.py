@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from ci.folders import PROJECT
-from scenarios.runner import collecting
 from scenarios.runner.inputs import InputCounters
+from scenarios.runner.observing import collecting
 from scenarios.runner.waiting import RunError
 from tests.stages.platform.running_platform import Platform
 

@@ -17,10 +17,11 @@ import yaml
 
 from robotkube.robots.ros.core.common_messages import STAMPED_TYPES
 from scenarios.generator import messages
-from scenarios.runner import listening, policy, proposing
-from scenarios.runner.acting import task
-from scenarios.runner.deployment import Deployment
 from scenarios.runner.inputs import Commit
+from scenarios.runner.platform import listening, proposing
+from scenarios.runner.platform.deployment import Deployment
+from scenarios.runner.playing import policy
+from scenarios.runner.playing.acting import task
 from scenarios.runner.waiting import RunError
 from tests.stages.platform.running_platform import Platform, eventually
 

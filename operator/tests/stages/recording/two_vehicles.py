@@ -9,8 +9,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from benchmarks import bags
-from benchmarks.data_path import DataPath
+from benchmarks.bridges.data_path import DataPath
+from benchmarks.measuring import bags
 from robotkube.foundation.database.adapters.connection import DatabaseLogin, connect
 from robotkube.robots.bags.adapters.writing import BagWriter
 from robotkube.robots.bags.core.playback import BagTopic

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import pods
+from benchmarks.measuring import pods
 from robotkube.registry.suites.ports.suites import Object, PodEnd, PodRun, SuiteAccount
 from robotkube.testing.api_server import ApiServerInMemory
 from tests.stages.commands import local_command

@@ -20,7 +20,9 @@ from mcap.writer import CompressionType, IndexType, Writer
 from scenarios import definition
 from scenarios.generator import routes
 from scenarios.generator.messages import PoseWriter
-from scenarios.runner import inputs, report, storage
+from scenarios.runner import inputs
+from scenarios.runner.observing import storage
+from scenarios.runner.reporting import report
 from tests.stages.paths import SCENARIOS
 
 FOLDER = SCENARIOS / "pose-point-cloud-db-recording"

@@ -1,0 +1,1 @@
+"""What goes through the broker between agents: links, the rights to them, encryption."""

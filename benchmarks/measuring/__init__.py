@@ -1,0 +1,1 @@
+"""What every measurement stands on: comparisons with a baseline, robot processes as pods, small bags."""

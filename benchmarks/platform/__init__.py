@@ -1,0 +1,1 @@
+"""What needs a whole platform on a cluster of its own: publication, plans applied, encounters."""

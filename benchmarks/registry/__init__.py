@@ -1,0 +1,1 @@
+"""The registry: validation, verified catalogues, admission by what they list."""

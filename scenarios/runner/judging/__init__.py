@@ -1,0 +1,1 @@
+"""Judgement of a run by its inputs: metrics, and whether what was expected came true."""

@@ -1,0 +1,1 @@
+"""The platform as a run reaches it: its API server, forge and broker, agents' pods, the deployment repository."""

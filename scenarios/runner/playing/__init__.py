@@ -1,0 +1,1 @@
+"""What makes a story happen: needs and readiness of the cluster, configuration, players, steps, cables."""
