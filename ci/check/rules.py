@@ -14,7 +14,7 @@ from ci.folders import PROJECT
 
 TOP = PROJECT
 LONGEST_MODULE_LINES = 500
-MODULES_MAX = 15  # of one folder below operator/src and ci
+MODULES_MAX = 15  # of one folder below one of ROOTS
 ROOTS = ("operator/src", "ci", "scenarios", "benchmarks")  # in each of them the name of a class means one thing
 PUBLIC_CLASS = re.compile(r"^class ([A-Za-z]\w*)", re.MULTILINE)
 AS_PUBLISHED = "charts/earlier/"  # charts that stay byte for byte what was published
@@ -52,7 +52,7 @@ def repository_rules() -> list[str]:
             findings.append(
                 f"{name}: {lines} lines; a module of more than {LONGEST_MODULE_LINES} is more than one idea"
             )
-    findings += crowded_folders(tracked("operator/src/*.py", "ci/*.py"))
+    findings += crowded_folders(tracked(*(f"{root}/*.py" for root in ROOTS)))
     for root in ROOTS:
         findings += ambiguous_classes(tracked(f"{root}/*.py"))
     findings += long_lines()

@@ -33,7 +33,7 @@ def types() -> list[str]:
 
 
 def layers() -> list[str]:
-    """Imports against the contracts: of the distribution, of all packages, of those of ci."""
+    """Imports against the contracts: of the distribution, of all packages, of those of ci, benchmarks and scenarios."""
     return [line for file in CONTRACTS for line in tool("lint-imports", "--config", file, folder="operator")]
 
 

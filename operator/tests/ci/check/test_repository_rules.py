@@ -251,7 +251,9 @@ def test_the_adapter_and_the_baselines_import_ros(place: Path) -> None:
     assert all((REPOSITORY / name).is_file() for name in boundaries.ROS_ELSEWHERE)
 
 
-@pytest.mark.parametrize("folder", [str(Path(CORE).parent), "ci", "ci/cluster/embedded"])
+@pytest.mark.parametrize(
+    "folder", [str(Path(CORE).parent), "ci", "ci/cluster/embedded", "benchmarks/bridges", "scenarios/runner"]
+)
 def test_a_folder_with_too_many_modules_is_a_finding(place: Path, folder: str) -> None:
     write(place, f"{folder}/__init__.py", "")
     for number in range(rules.MODULES_MAX - len(list((place / folder).glob("[!_]*.py")))):
