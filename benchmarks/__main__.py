@@ -5,8 +5,9 @@
 Prints a table and writes build/reports/benchmarks.json; what registry and gate cost in seconds goes to
 build/bench/registry.json, what the manager costs to build/bench/application-manager.json, what event detector and
 bridge cost to build/bench/event-detector.json, what admission adds to build/bench/admission.json, what links and their
-rights take to build/bench/links.json. Exit code 1 when a ratio is beyond its bound. What a benchmark needs (tool chain;
-images, for those on a cluster) is made before its time begins, and cached.
+rights take to build/bench/links.json, what a browser sees of the console to build/bench/console.json. Exit code 1 when
+a ratio is beyond its bound. What a benchmark needs (tool chain; images, for those on a cluster) is made before its time
+begins, and cached.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from functools import partial
 from benchmarks import files
 from benchmarks.bridges import narrow_uplink, processor_time
 from benchmarks.broker import encryption, links, rights
-from benchmarks.delivery import application_manager, gate, planning
+from benchmarks.delivery import application_manager, console, gate, planning
 from benchmarks.detector import event_detector
 from benchmarks.measuring.comparisons import Comparison
 from benchmarks.platform import applying, encounters, publication
@@ -41,6 +42,7 @@ BENCHMARKS: dict[str, Callable[[], list[Comparison]]] = {
     "narrow-uplink": narrow_uplink.compare,
     "links": links.compare,
     "rights": rights.compare,
+    "console": console.compare,
     "registry": catalogue.compare,
     "gate": gate.compare,
     "admission": admission.compare,

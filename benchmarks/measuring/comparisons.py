@@ -76,11 +76,16 @@ def record(path: Path, values: Mapping[str, Any]) -> None:
     path.write_text(json.dumps(kept | dict(values), indent=1, sort_keys=True) + "\n", encoding="utf-8")
 
 
+def module_environment() -> dict[str, str]:
+    """The environment of a process that runs a module of the tests' stages."""
+    folders = os.pathsep.join(str(path) for path in (PROJECT, PROJECT / "operator" / "src", PROJECT / "operator"))
+    return {**os.environ, "PYTHONPATH": folders}
+
+
 def staged(module: str, count: int, seconds_max: float) -> dict[str, list[float]]:
     """Milliseconds of each of `count` rounds by what was measured, as a module of the tests' stages measures them on
     real programs. SetUpError with its last words when it fails."""
-    folders = os.pathsep.join(str(path) for path in (PROJECT, PROJECT / "operator" / "src", PROJECT / "operator"))
-    environment = {**os.environ, "PYTHONPATH": folders, preparing.TOOLCHAIN_VARIABLE: str(preparing.tool_chain())}
+    environment = module_environment() | {preparing.TOOLCHAIN_VARIABLE: str(preparing.tool_chain())}
     command = [sys.executable, "-m", f"tests.stages.{module}", str(count)]
     done = subprocess.run(
         command, env=environment, cwd=PROJECT, capture_output=True, text=True, timeout=seconds_max, check=False

@@ -17,8 +17,8 @@ export async function withBrowser(use) {
   }
 }
 
-/** A page of the console at `url`; what it complains of stands in `complaints`. */
-export async function openPage(browser, url, { size = "desk", dark = false } = {}) {
+/** A page of the console at `url`, which `prepare` has before it goes there; what it complains of stands in `complaints`. */
+export async function openPage(browser, url, { size = "desk", dark = false, prepare = async () => {} } = {}) {
   const context = await browser.newContext({ viewport: SIZES[size], colorScheme: dark ? "dark" : "light" });
   const page = await context.newPage();
   page.setDefaultTimeout(SECONDS_MAX * 1000);
@@ -30,6 +30,7 @@ export async function openPage(browser, url, { size = "desk", dark = false } = {
     const byHttp = message.text().startsWith("The Cross-Origin-Opener-Policy header has been ignored");
     if (message.type() === "error" && !refused && !byHttp) complaints.push(`console: ${message.text()}`);
   });
+  await prepare(page);
   await page.goto(url);
   return { page, complaints };
 }
