@@ -67,6 +67,20 @@ async function findsViolations(browser) {
   await page.context().close();
 }
 
+/** Who shares a Node is said so, where its Nodes stand and beside the list of all. */
+async function saysWhoShares(browser) {
+  const { page, complaints } = await openPage(browser, url);
+  const words = "shares Node vehicle-10 with vehicle-10, vehicle-12 (trial)";
+  await goTo(page, "agents", "Agents");
+  await page.getByText("Trial mode: 1 Node is several agents'").waitFor();
+  assert.equal(await page.getByText(words).count(), 1);
+  await goTo(page, "fleet/vehicle-11", "vehicle-11");
+  await page.getByText(words).waitFor();
+  await page.getByText("Trial mode: 1 Node is several agents'").waitFor();
+  assert.deepEqual(complaints, []);
+  await page.context().close();
+}
+
 /** Who moves on before a view was painted is followed: here as soon as the form's choice is in the document. */
 async function movesOnAtOnce(browser) {
   const { page, complaints } = await openPage(browser, `${url}#/tasks`);
@@ -114,6 +128,7 @@ await withBrowser(async (browser) => {
   await look(browser, "desk", false);
   await look(browser, "phone", true);
   if (mode === "live") await findsViolations(browser);
+  if (mode === "live") await saysWhoShares(browser);
   if (mode === "live") await movesOnAtOnce(browser);
   if (mode === "live") await ask(browser);
 });

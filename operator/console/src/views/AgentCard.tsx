@@ -2,6 +2,7 @@ import type { Pod, Release } from "../live/model";
 import { silentSince } from "../map/fleet";
 import { linkRate, linkTone, linkWords } from "../parts/links";
 import { Badge, Empty } from "../parts/parts";
+import { sharedWords } from "../parts/sharing";
 import { releaseTone } from "../parts/states";
 import { useItems, why } from "../state";
 import { age, ago, clock } from "../words";
@@ -37,6 +38,13 @@ export function AgentCard({ name, now, close }: { name: string; now: number; clo
               {agent.nodes
                 .map((node) => `${node.name}${node.ready ? "" : " (not ready)"}${node.cordoned ? " (cordoned)" : ""}`)
                 .join(", ") || "none joined"}
+              {agent.nodes
+                .filter((node) => node.shared_with.length)
+                .map((node) => (
+                  <div key={node.name} class="quiet">
+                    {sharedWords(node)}
+                  </div>
+                ))}
             </dd>
             <dt>Hold</dt>
             <dd>

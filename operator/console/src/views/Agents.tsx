@@ -2,6 +2,8 @@ import { useState } from "preact/hooks";
 import type { Agent } from "../live/model";
 import { silentSince } from "../map/fleet";
 import { Badge, Cell, Empty, Rows, Search, Stale, Time } from "../parts/parts";
+import { sharedWords } from "../parts/sharing";
+import { Trial } from "../parts/Trial";
 import { filter } from "../search";
 import { at, live, useItems, useNow } from "../state";
 import { clock, count } from "../words";
@@ -22,6 +24,7 @@ export function Agents() {
       <h1>Agents</h1>
       <p class="quiet">{count(agents.length, "agent")} declared by the deployment repository or by labels of Nodes.</p>
       <Stale kinds={["agents", "poses"]} now={now} />
+      <Trial />
       <div class="filters">
         <Search label="Search agents" hint="Words, or role:…, node:…, capability:…" value={text} change={search} />
       </div>
@@ -76,6 +79,7 @@ function Line({ agent, releases, now }: { agent: Agent; releases: number; now: n
             {!node.ready && (
               <span class="bad"> not ready{node.since_ms !== null && ` since ${clock(node.since_ms, now)}`}</span>
             )}
+            {node.shared_with.length > 0 && <div class="quiet">{sharedWords(node)}</div>}
           </div>
         ))}
       </Cell>

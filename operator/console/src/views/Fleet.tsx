@@ -4,6 +4,7 @@ import { silentSince } from "../map/fleet";
 import { FleetMap } from "../map/Map";
 import { linksInWords } from "../parts/links";
 import { Badge, Choice, Empty, Search, Stale } from "../parts/parts";
+import { Trial } from "../parts/Trial";
 import { filter } from "../search";
 import { at, go, live, useItems, useNow, usePlace, useSignature, why } from "../state";
 import { age, ago, clock, count, duration } from "../words";
@@ -34,6 +35,7 @@ export function Fleet() {
         <Events now={now} />
         <section aria-labelledby="agents-head">
           <h2 id="agents-head">{count(rows.length, "agent")}</h2>
+          <Trial />
           <Search label="Search agents" hint="Words, or role:vehicle, runs:recorder" value={text} change={search} />
           <Choice label="Which agents" value={which} choices={choices(rows)} change={choose} />
           <AgentList rows={shown} selected={selected} now={now} />

@@ -16,8 +16,10 @@ from robotkube.delivery.console.loops import model as model_module
 from robotkube.delivery.console.loops.model import ReadModel
 from robotkube.delivery.console.loops.page_reading import DetectorReader, ManagerReader
 from robotkube.delivery.console.ports import Detector, ManagerPages
-from robotkube.delivery.manager.adapters.kubernetes_cluster import read_node
+from robotkube.delivery.manager.adapters.kubernetes_cluster import read_node, read_nodes
+from robotkube.delivery.manager.core.placement.placement import NodeState
 from robotkube.errors import InputError, UnavailableError
+from robotkube.foundation.kubernetes.core.node_agents import NodeAgent
 from tests.delivery.console import documents as given
 
 URL = "http://manager:8080"
@@ -218,6 +220,26 @@ def test_an_agent_has_its_nodes_its_hold_and_since_when_it_is_silent() -> None:
     assert (agent["ready"], agent["capabilities"], agent["hold"]["reason"]) == (False, ["lidar"], "driving")
     assert agent["silent_since_ms"] is not None
     assert agent_document(declared, [])["ready"] is False
+
+
+def test_who_shares_a_node_is_named_with_it_and_nobody_else() -> None:
+    host = NodeAgent("cloud-0", "cloud")
+    guests = [NodeAgent(f"vehicle-0{number}", "vehicle", frozenset(), number) for number in (1, 2)]
+    labels = {key: value for one in (host, *guests) for key, value in one.labels.items()}
+    shared = read_nodes({"metadata": {"name": "worker-1", "labels": labels}})
+    alone = read_nodes({"metadata": {"name": "worker-2", "labels": NodeAgent("vehicle-03", "vehicle").labels}})
+    nobodys = read_nodes({"metadata": {"name": "worker-3", "labels": {}}})
+
+    def others(name: str, *nodes: NodeState) -> list[list[str]]:
+        agent = {"name": name, "namespace": name, "role": "vehicle", "records": False}
+        return [one["shared_with"] for one in agent_document(agent, nodes)["nodes"]]
+
+    every = (*alone, *nobodys, *shared)
+    assert others("vehicle-01", *every) == [["cloud-0", "vehicle-02"]]
+    assert others("cloud-0", *every) == [["vehicle-01", "vehicle-02"]]
+    assert others("vehicle-03", *every) == [[]]
+    unnamed = read_nodes({"metadata": {"name": "worker-4", "labels": guests[0].labels}})
+    assert others("vehicle-01", *unnamed) == [[]], "a host without a name is nobody"
 
 
 def test_strangers_by_what_they_are() -> None:

@@ -18,6 +18,7 @@ START_M, STOP_M = 400.0, 500.0
 REASON = f"within {START_M:.0f} m"
 CHARTS = ("mqtt-bridge", "object-detection", "object-tracking", "event-detector", "recorder")
 HEX = "0123456789abcdef"
+SHARING = slice(10, 13)  # of the vehicles: these share the Node of the first of them
 
 
 @dataclass
@@ -95,14 +96,23 @@ class Fleet:
 
     def agent_documents(self, now_ms: int) -> Document:
         agents = {name: self.agent(number, name, now_ms) for number, name in enumerate(self.names)}
-        cloud = {"name": "cloud-0", "ready": True, "cordoned": False, "since_ms": now_ms - 9_000_000}
+        cloud = {"name": "cloud-0", "ready": True, "cordoned": False, "since_ms": now_ms - 9_000_000, "shared_with": []}
         return agents | {
             "cloud-0": AGENT | {"name": "cloud-0", "namespace": "cloud-0", "role": "cloud", "nodes": [cloud]}
         }
 
     def agent(self, number: int, name: str, now_ms: int) -> Document:
         ready = number % 20 != 7
-        node = {"name": name, "ready": ready, "cordoned": number % 9 == 4, "since_ms": now_ms - 45_000}
+        node = {
+            "name": name,
+            "ready": ready,
+            "cordoned": number % 9 == 4,
+            "since_ms": now_ms - 45_000,
+            "shared_with": [],
+        }
+        if name in (shared := self.names[SHARING]):
+            others = [other for other in shared if other != name]
+            node |= {"name": shared[0], "cordoned": False, "shared_with": others}
         hold = {"reason": "driving", "until_ms": now_ms + 600_000} if number % 6 == 1 else None
         since = None if ready else now_ms // 600_000 * 600_000 - 45_000
         more = {"nodes": [node], "ready": ready, "hold": hold, "silent_since_ms": since}

@@ -71,8 +71,9 @@ def release_key(item: Object) -> str:
 
 def agent_document(agent: Object, nodes: Iterable[NodeState]) -> dict[str, Any]:
     """The item of a declared agent (`name`, `role`, `namespace`, `records`) with its Nodes, which say the role of one
-    whose name is reserved."""
-    own = sorted((node for node in nodes if node.agent == agent["name"]), key=lambda node: node.name)
+    whose name is reserved. `nodes` are those of all agents: they say who shares one."""
+    known = tuple(nodes)
+    own = sorted((node for node in known if node.agent == agent["name"]), key=lambda node: node.name)
     silent = [node.silent_since for node in own if node.silent_since is not None]
     hold = next((node.hold for node in own if node.hold is not None), None)
     return {
@@ -85,6 +86,7 @@ def agent_document(agent: Object, nodes: Iterable[NodeState]) -> dict[str, Any]:
                 "ready": node.ready,
                 "cordoned": node.cordoned,
                 "since_ms": ns_ms(node.ready_since if node.ready else node.not_ready_since),
+                "shared_with": _others(node, known),
             }
             for node in own
         ],
@@ -92,6 +94,11 @@ def agent_document(agent: Object, nodes: Iterable[NodeState]) -> dict[str, Any]:
         "silent_since_ms": ns_ms(min(silent, default=None)),
         "hold": None if hold is None else {"reason": hold.reason, "until_ms": ns_ms(hold.until_ns)},
     }
+
+
+def _others(own: NodeState, nodes: Iterable[NodeState]) -> list[str]:
+    """The other agents of a Node, its host first; none where it is one agent's alone."""
+    return [node.agent for node in nodes if node.name == own.name and node.agent not in ("", own.agent)]
 
 
 def pod_documents(items: Iterable[Object]) -> dict[str, dict[str, Any]]:
