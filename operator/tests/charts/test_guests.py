@@ -11,6 +11,7 @@ import pytest
 
 from robotkube.foundation.kubernetes.core.node_agents import GUESTS_MAX, selector
 from tests.charts.conftest import APP_CHARTS, CHARTS, PROFILES
+from tests.charts.test_evidence import notes
 from tests.stages.paths import REPOSITORY
 
 pytestmark = pytest.mark.toolchain
@@ -70,3 +71,24 @@ def test_every_newer_chart_has_the_value_as_the_label_can_be(folder: Path) -> No
 
 def placed(chart: Path) -> Any:
     return json.loads((chart / "values.schema.json").read_text())["properties"]["placement"]["properties"]
+
+
+def test_notes_say_who_knows_which_agents_share_a_node(helm: Any, tmp_path: Path) -> None:
+    """An installer need not have the right to read Nodes, whose labels alone say it: the notes name the command."""
+    said = notes(helm, {}, tmp_path)
+    assert "robotkube agent list --platform-namespace robotkube     whose Nodes are; which of them agents share" in said
+    assert "NOTE: the platform shares" not in said
+    elsewhere = {"kind": "external", "external": {"host": "mqtt.example"}}
+    without = notes(helm, {"broker": elsewhere, "tls": {"mode": "off"}}, tmp_path)
+    assert "robotkube watch --platform-namespace robotkube     whose Nodes are" in without
+    assert "agent list" not in without, (
+        "it reads the settings of rights, which are kept at the chart's own broker alone"
+    )
+
+
+def test_notes_say_that_the_platform_is_a_guest(helm: Any, tmp_path: Path) -> None:
+    said = notes(helm, {"platform": {"nodeSelector": selector("platform", 1)}}, tmp_path)
+    assert (
+        "\nNOTE: the platform shares its Node with agents (trial mode, by label agent.robotkube.io/platform): no "
+        "machine keeps them apart, and no figure compares machines.\n"
+    ) in said
