@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import time
 from collections.abc import Callable, Sequence
@@ -13,6 +12,7 @@ from ci.cluster.through_api_server.bundled_images import bundled
 from ci.errors import InputError, SetUpError
 from ci.images.image_lock import Image
 from robotkube.registry.bundles.adapters.loading import load_k3s
+from robotkube.registry.bundles.core.archives import mark
 
 VARIABLE, FOLDER = "K3S_IMAGES", "/var/lib/rancher/k3s/agent/images"
 NAME = "robotkube-demo-{}.tar"  # not that of `robotkube bundle load`, which a person put there
@@ -39,8 +39,7 @@ def named_folder() -> Path:
 def archive(images: Sequence[Image]) -> Path:
     """The file that has these images: another name for others, since k3s imports a file of the same name and size once
     only."""
-    references = "\n".join(sorted(image.reference for image in images))
-    return folder() / NAME.format(hashlib.sha256(references.encode()).hexdigest()[:12])
+    return folder() / NAME.format(mark(image.reference for image in images))
 
 
 def archives() -> tuple[Path, ...]:

@@ -85,3 +85,32 @@ def test_a_program_that_is_missing_is_named(
     assert "oras is not on PATH: install it (https://oras.land), or name the one" in capsys.readouterr().err
     assert main(["bundle", "load", path, "--kind", "kind"]) == 2
     assert "kind is not on PATH" in capsys.readouterr().err
+
+
+def test_what_earlier_loads_left_for_k3s_is_named_and_removed_when_that_is_asked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, folder = str(made(tmp_path).path), tmp_path / "k3s"
+    folder.mkdir()
+    earlier, broken = folder / "robotkube-0.0.9-0123456789ab.tar", folder / "robotkube-0.0.8-0123456789ab.tar.part"
+    others = [folder / "robotkube-0.0.9.tar", folder / "k3s-airgap-images-amd64.tar"]
+    for file in (earlier, broken, *others):
+        file.touch()
+    assert main(["bundle", "load", path, "--k3s", str(folder), "-o", "json"]) == 0
+    printed = capsys.readouterr()
+    [archive] = {row["where"] for row in json.loads(printed.out)["loaded"]}
+    assert Path(archive).name.startswith("robotkube-0.1.0-")
+    assert f"{earlier} is of an earlier load: k3s imports it at each start as well; --replace removes it" in printed.err
+    assert f"{broken} is of an earlier load" in printed.err
+    assert not any(f"{other} is" in printed.err for other in others)
+    assert main(["bundle", "load", path, "--k3s", str(folder), "--replace"]) == 0
+    assert f"{earlier} is removed; what k3s imported of it stays" in capsys.readouterr().err
+    assert sorted(folder.iterdir()) == sorted([Path(archive), *others])
+
+
+def test_what_can_be_no_folder_of_k3s(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = str(made(tmp_path).path)
+    assert main(["bundle", "load", path, "--kind", "kind", "--replace"]) == 2
+    assert "--replace: removes files of the folder that --k3s names" in capsys.readouterr().err
+    assert main(["bundle", "load", path, "--k3s", "/proc"]) == 2
+    assert "--k3s /proc: cannot be written to: " in capsys.readouterr().err

@@ -16,6 +16,7 @@ from robotkube.registry.bundles.adapters.accounts import RegistryAccount, given_
 from robotkube.registry.bundles.adapters.layouts import Layout, read_bundle
 from robotkube.registry.bundles.adapters.loading import load_k3s, write_images
 from robotkube.registry.bundles.adapters.making import BundleMaker
+from robotkube.registry.bundles.core.archives import archive_name, is_archive
 from robotkube.registry.bundles.core.contents import (
     CHART,
     CONTENTS_TYPE,
@@ -252,12 +253,41 @@ def test_images_alone_are_what_a_runtime_imports(tmp_path: Path) -> None:
     names = [entry["annotations"]["io.containerd.image.name"] for entry in index["manifests"]]
     assert names == sorted(bundle.contents.references().values())
     (tmp_path / "k3s").mkdir()
-    assert load_k3s(bundle, tmp_path / "k3s") == str(tmp_path / "k3s" / "robotkube-0.1.0.tar")
-    assert (tmp_path / "k3s" / "robotkube-0.1.0.tar").read_bytes() == (tmp_path / "images.tar").read_bytes()
-    assert load_k3s(bundle, tmp_path / "k3s", "mine.tar") == str(tmp_path / "k3s" / "mine.tar")
-    assert sorted(one.name for one in (tmp_path / "k3s").iterdir()) == ["mine.tar", "robotkube-0.1.0.tar"]
+    archive = load_k3s(bundle, tmp_path / "k3s")
+    assert archive.parent == tmp_path / "k3s"
+    assert re.fullmatch(r"robotkube-0\.1\.0-[0-9a-f]{12}\.tar", archive.name)
+    assert archive.read_bytes() == (tmp_path / "images.tar").read_bytes()
+    assert load_k3s(bundle, tmp_path / "k3s", "mine.tar") == tmp_path / "k3s" / "mine.tar"
+    assert sorted(one.name for one in (tmp_path / "k3s").iterdir()) == ["mine.tar", archive.name]
     with pytest.raises(InputError, match="no such folder"):
         load_k3s(bundle, tmp_path / "nowhere")
+
+
+def test_an_archives_name_follows_from_version_and_images() -> None:
+    def named(version: str, *digests: str) -> str:
+        items = (
+            BundleItem(IMAGE, f"image-{number}", version, f"sha256:{one * 64}", 1) for number, one in enumerate(digests)
+        )
+        return archive_name(BundleContents(version, PREFIX, tuple(items)))
+
+    names = {named("0.1.0", "a"), named("0.1.0", "b"), named("0.1.0", "a", "b"), named("0.2.0", "a")}
+    assert len(names) == 4, "two builds of one version do not overwrite each other"
+    assert named("0.1.0", "a") in names, "the same again is the same file"
+    assert all(is_archive(name) and is_archive(f"{name}.part") for name in names)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "robotkube-0.1.0.tar",
+        "robotkube-demo-0123456789ab.tar",
+        "k3s-airgap-images-amd64.tar",
+        "robotkube-0.1.0-0123456789ab.txt",
+    ],
+)
+def test_files_of_others_are_no_such_archives(name: str) -> None:
+    """A bundle, what `make demo` put there and takes away, what k3s brings."""
+    assert not is_archive(name)
 
 
 @pytest.mark.parametrize("text", ["host", "host/", "https://host/path", "host/Path", "host:port/path", "/path", ""])

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from robotkube.errors import InputError, UnavailableError
 from robotkube.registry.bundles.adapters.layouts import Bundle, Layout
+from robotkube.registry.bundles.core.archives import archive_name, is_archive
 from robotkube.registry.bundles.core.contents import IMAGE
 
 CONTAINERD_NAME = "io.containerd.image.name"  # what an import calls an image
@@ -39,16 +40,21 @@ def load_kind(bundle: Bundle, cluster: str, program: str = "kind") -> str:
     return f"kind cluster {cluster}"
 
 
-def load_k3s(bundle: Bundle, folder: Path, name: str = "") -> str:
-    """Put them into the folder from which k3s imports, as a file of this name or of the bundle's version; where that
-    is. A file is there whole or not at all."""
+def load_k3s(bundle: Bundle, folder: Path, name: str = "") -> Path:
+    """Put them into the folder from which k3s imports, as a file of this name or of one that follows from version and
+    images; where that is. A file is there whole or not at all."""
     if not folder.is_dir():
         raise InputError(
             f"--k3s {folder}: no such folder; on a node it is /var/lib/rancher/k3s/agent/images (make it, k3s reads it)"
         )
-    archive = folder / (name or f"robotkube-{bundle.contents.version}.tar")
+    archive = folder / (name or archive_name(bundle.contents))
     write_images(bundle, archive)
-    return str(archive)
+    return archive
+
+
+def others_of_k3s(archive: Path) -> list[Path]:
+    """The archives beside this one that earlier loads have left: k3s imports them as well, at each of its starts."""
+    return sorted(file for file in archive.parent.iterdir() if is_archive(file.name) and file != archive)
 
 
 def load_containerd(bundle: Bundle, address: str) -> str:
