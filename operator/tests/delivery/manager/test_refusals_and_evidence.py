@@ -10,7 +10,8 @@ import yaml
 from robotkube.delivery.deployment.core.commit_messages import read_message
 from robotkube.delivery.gate.core.verdict_comments import refusal_text
 from robotkube.delivery.manager.loops import planner
-from robotkube.delivery.manager.loops.reconciler import CATALOGUE
+from robotkube.delivery.manager.loops.proposals.refused_plans import FORGE_REFUSAL_SECONDS
+from robotkube.delivery.manager.loops.reconciler import CATALOGUE, DEPLOYMENT
 from robotkube.errors import InputError, RefusalError
 from robotkube.registry.catalogue.core.catalogue import read_catalogue
 from robotkube.testing.clusters import MemoryTasks
@@ -91,6 +92,36 @@ def test_a_proposal_that_the_forge_itself_refuses_is_reported(stage: Stage) -> N
     stage.go(8)
     assert stage.tasks.condition(key, "Committed") == ("False", "ProposalRefused")
     assert stage.tasks.reports == [(key, "ProposalRefused", "the forge refused proposal: you may not")]
+
+
+@pytest.mark.parametrize("repairs", [False, True])
+def test_what_the_forge_itself_refused_is_proposed_again_after_a_while(stage: Stage, repairs: bool) -> None:
+    """A right that came back changes nothing that the manager reads."""
+    proposed: list[str] = []
+    propose = stage.forge.propose
+
+    def refuse(commit: str, topic: str, title: str, body: str) -> int | None:
+        proposed.append(topic)
+        raise RefusalError("ProposalRefused", "the forge refused proposal: you may not")
+
+    stage.go()
+    stage.forge.propose = refuse  # type: ignore[method-assign]
+    if repairs:
+        stage.repository.push({"releases/cloud-0/broken.yaml": "{"}, "by hand")
+    else:
+        stage.ask()
+    stage.go(20, seconds=5.0, wake=DEPLOYMENT)
+    assert len(proposed) == 1, "it is said at once, and not repeated"
+    stage.seconds += FORGE_REFUSAL_SECONDS
+    stage.go(20, wake=DEPLOYMENT)
+    assert len(proposed) == 2
+    stage.forge.propose = propose  # type: ignore[method-assign]
+    stage.seconds += FORGE_REFUSAL_SECONDS
+    stage.go(8, wake=DEPLOYMENT)
+    if repairs:
+        assert "releases/cloud-0/broken.yaml" not in stage.repository.trees[stage.repository.tip]
+    else:
+        assert stage.tasks.condition(MEETING, "Committed") == ("True", "Merged")
 
 
 def edit(stage: Stage, path: str, **status: Any) -> None:

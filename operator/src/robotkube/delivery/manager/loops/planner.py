@@ -52,6 +52,7 @@ from robotkube.delivery.manager.loops.initial_refusals import InitialRefusals
 from robotkube.delivery.manager.loops.main_reader import MainReader
 from robotkube.delivery.manager.loops.memo_of_valid import MemoOfValid
 from robotkube.delivery.manager.loops.proposals.plan_records import PlanRecord
+from robotkube.delivery.manager.loops.proposals.refused_plans import RefusedPlans
 from robotkube.delivery.manager.loops.updates.update_planner import UpdatePlanner
 from robotkube.delivery.manager.loops.verified_images import INITIAL, ImageRefusals, VerifiedImages, blamed
 from robotkube.delivery.manager.ports.cluster import Cluster
@@ -64,7 +65,6 @@ from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalog
 
 TASKS_PER_PLAN_MAX = 100
 REFUSED_PLANS_MAX = 10  # in one step, for the images that they would run
-HELD_MAX = 1000
 UNDECIDED = Refused(POSTPONED, "other pre-emptions are decided first; ask again")
 
 
@@ -115,8 +115,7 @@ class Planner:
         self.updating = UpdatePlanner(main.repository, cluster, main.notes)
         self._known_fleet: tuple[Sequence[Agent], tuple[NodeState, ...], int, int, Fleet] | None = None
         self._tasks_per_plan = TASKS_PER_PLAN_MAX
-        self._held: dict[str, tuple[str, PlanRecord]] = {}
-        self._held_differences: dict[str, PlanRecord] = {}
+        self.refused_plans = RefusedPlans()
         self._initial_refusals = InitialRefusals()
         self._turn = 0
         self._now_ns = 0
@@ -153,7 +152,7 @@ class Planner:
     @property
     def held(self) -> Mapping[str, PlanRecord]:
         """Tasks whose plan the gate refused, with that plan."""
-        return {key: record for key, (_, record) in self._held.items()}
+        return self.refused_plans.tasks
 
     def plan(self, started_ns: int) -> Plan | None:
         """The plan that brings main to what is wanted at `started_ns` (ns since 1970); None when it is there or when
@@ -287,7 +286,7 @@ class Planner:
 
     def _adopt(self, resolution: Resolution) -> None:
         """Keep a resolution as what was decided last, and when time alone changes it."""
-        held = {key: Met((), ("accepted, but the gate refused the plan",)) for key in self._held}
+        held = {key: Met((), ("accepted, but the gate refused the plan",)) for key in self.held}
         initial = {k: o for k, o in resolution.outcomes.items() if k not in self.tasks}
         self.outcomes = {**initial, **self._ledger.outcomes, **held}
         self.decided = self._ledger.asked()
@@ -317,7 +316,7 @@ class Planner:
 
     def _is_held(self, changes: tuple[Change, ...]) -> bool:
         """Return whether the gate refused exactly this before."""
-        return bool(self._held_differences) and fingerprint(changes) in self._held_differences
+        return self.refused_plans.holds(lambda: fingerprint(changes))
 
     def _all_holds(self) -> Sequence[DeviceHold]:
         """The holds on Nodes, and those reported by message."""
@@ -355,9 +354,10 @@ class Planner:
         """The tasks of this plan: all that main answers, the new ones of the highest priority that are not held, and in
         turns those that were not met the last time."""
         tasks = self.tasks
-        self._held = {k: held for k, held in self._held.items() if k in tasks and held[0] == self._inputs(tasks[k])}
-        standing = [task for task in tasks.values() if task.key in answered and task.key not in self._held]
-        new = [task for task in tasks.values() if task.key not in answered and task.key not in self._held]
+        self.refused_plans.keep(self._inputs_of)
+        held = self.held
+        standing = [task for task in tasks.values() if task.key in answered and task.key not in held]
+        new = [task for task in tasks.values() if task.key not in answered and task.key not in held]
         fresh, again = self._ledger.split(sorted(new, key=lambda t: (-t.priority, t.created, t.key)))
         fresh = fresh[: self._tasks_per_plan]
         places = TASKS_PER_PLAN_MAX if self._tasks_per_plan > 1 else 1 - len(fresh)
@@ -471,11 +471,9 @@ class Planner:
             return
         self._tasks_per_plan = TASKS_PER_PLAN_MAX
         if suspects:
-            self._held[suspects[0]] = (self._inputs(new[suspects[0]]), record)
+            self.refused_plans.hold_task(suspects[0], self._inputs(new[suspects[0]]), record)
         else:
-            self._held_differences[plan.fingerprint] = record
-        while len(self._held_differences) > HELD_MAX:
-            self._held_differences.pop(next(iter(self._held_differences)))
+            self.refused_plans.hold_differences(plan.fingerprint, record)
 
 
 def _demand(task: TaskDescription) -> Demand:

@@ -29,6 +29,7 @@ from robotkube.delivery.manager.loops.proposals.open_proposals import OpenPropos
 from robotkube.delivery.manager.loops.proposals.plan_comments import PlanOutcomeComments
 from robotkube.delivery.manager.loops.proposals.plan_observer import PlanObserver
 from robotkube.delivery.manager.loops.proposals.plan_records import PlanRecord, PlanRecords, record_of, records_of
+from robotkube.delivery.manager.loops.proposals.refused_plans import ForgeRefusals
 from robotkube.delivery.manager.loops.proposals.repairs import MainRepair
 from robotkube.delivery.manager.loops.task_status import Situation, StatusWriter
 from robotkube.delivery.manager.loops.upkeep import Upkeep
@@ -94,6 +95,7 @@ class ApplicationManager:
         self._decisions = GateDecisions(ports.deployment, ports.forge, monotonic)
         self._open = OpenProposals(ports.deployment, ports.forge, ports.name)
         self._repairing = MainRepair(main, planner.foreign)
+        self._refused_by_forge = ForgeRefusals(monotonic, planner.refused_plans, self._repairing)
         self._outcome_comments = PlanOutcomeComments(ports.cluster, ports.forge)
         self._upkeep = Upkeep(ports.cluster, ports.tasks, lambda: planner.agents, monotonic)
         self._terms = Terms(ports.deployment, [ports.name])
@@ -210,7 +212,7 @@ class ApplicationManager:
         if resync_is_due(self._monotonic() - self._resynced_at, self._idle_seconds()):
             flags |= {TASKS, DEPLOYMENT, CATALOGUE}
             self._resynced_at = self._monotonic()
-        if self._seconds_until_due() <= 0:
+        if self._seconds_until_due() <= 0 or self._refused_by_forge.forget_when_due():
             flags |= {TASKS}
         if self._monotonic() - self._main_read_at >= MAIN_SECONDS:
             flags |= {DEPLOYMENT}
@@ -288,11 +290,8 @@ class ApplicationManager:
     def _remember(self) -> None:
         """Make records of plans on main that have none: after a start, or when an answer of the forge was lost."""
         mine = self._proposal.record.id if self._proposal else ""
-        unknown = [
-            r
-            for r in records_of(self._main.new_commits, self._ports.name)
-            if r.id != mine and not self.records.has_merged(r.id)
-        ]
+        found = records_of(self._main.new_commits, self._ports.name)
+        unknown = [r for r in found if r.id != mine and not self.records.has_merged(r.id)]
         pulls = {pull.head: pull for pull in self._ports.forge.pull_requests("all")} if unknown else {}
         for record in unknown:
             self._decisions.name(record, pulls.get(record.commit))
@@ -443,9 +442,9 @@ class ApplicationManager:
         proposal = PendingProposal(plan, record, self._monotonic(), asked=asked_for(plan, self.planner.tasks))
         self.records.add(record)
         try:
-            number = self._ports.proposals.propose(record.commit, plan.id, plan.title, self._body(plan))
-            record.pull_request = number
+            record.pull_request = self._ports.proposals.propose(record.commit, plan.id, plan.title, self._body(plan))
         except RefusalError as error:
+            self._refused_by_forge.add(record.id)
             self._refused(proposal, error.message)
             return
         record.times["proposed"] = self._now_ns()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from hashlib import sha256
@@ -27,7 +27,7 @@ class MainRepair:
     def __init__(self, main: MainReader, foreign: frozenset[str] = frozenset()) -> None:
         self._main = main
         self._foreign = foreign
-        self._refused = ""
+        self._refused = self._refused_plan = ""
 
     @property
     def broken(self) -> str:
@@ -54,7 +54,12 @@ class MainRepair:
 
     def refused(self, plan: Plan) -> None:
         """Note that the gate refused this repair; it is not proposed again for the same commit."""
-        self._refused = plan.base
+        self._refused, self._refused_plan = plan.base, plan.id
+
+    def forget(self, plans: Collection[str]) -> None:
+        """Repair also what one of these plans was refused for."""
+        if self._refused_plan in plans:
+            self._refused = self._refused_plan = ""
 
     def _may_write(self, path: str) -> bool:
         parts = path.split("/")

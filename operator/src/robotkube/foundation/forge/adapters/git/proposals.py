@@ -15,7 +15,7 @@ from typing import Any
 import pygit2
 from pygit2.enums import FileMode
 
-from robotkube.errors import RefusalError, UnavailableError
+from robotkube.errors import AccountRefusedError, RefusalError, RobotKubeError, UnavailableError
 from robotkube.foundation.forge.adapters.git.commit_objects import new_objects
 from robotkube.foundation.forge.adapters.git.connection import (
     EMAIL_DOMAIN,
@@ -24,6 +24,7 @@ from robotkube.foundation.forge.adapters.git.connection import (
     look_up,
     what_failed,
 )
+from robotkube.foundation.forge.adapters.git.refusals import in_one_line, refusal_words, refused_status
 from robotkube.foundation.forge.core.commit_objects import CommitObjects
 from robotkube.writes import writes
 
@@ -100,7 +101,8 @@ class ProposalWriter:
     def propose(self, commit: str, topic: str, title: str, body: str) -> int | None:
         """Push `commit` for review; the pull request's number when the forge names it.
 
-        UnavailableError when the forge does not answer; RefusalError when it refuses the push."""
+        UnavailableError when the forge does not answer; AccountRefusedError when it does not know the account;
+        RefusalError, with its words, when it refuses the push, which no further attempt changes."""
         git_commit = self._lookup(commit)
         self._repository.references.create(PROPOSAL_REFERENCE, git_commit.id, force=True)
         if self._send_objects is not None and (objects := new_objects(self._repository, git_commit)) is not None:
@@ -124,14 +126,28 @@ class ProposalWriter:
         try:
             self._repository.remotes[ORIGIN].push([specification], callbacks=connection, push_options=options or None)
         except (pygit2.GitError, PermissionError, OSError) as error:
-            words = what_failed(error, str(self._repository.remotes[ORIGIN].url))
-            raise UnavailableError(f"proposal {topic}: push: {words}") from error
+            raise self._failed(topic, error) from error
         if connection.refusal:
-            raise RefusalError("ProposalRefused", f"the forge refused proposal {topic}: {connection.refusal}")
+            raise _refused(topic, ": ".join(filter(None, (connection.refusal, in_one_line(connection.output)))))
         return connection.output
+
+    def _failed(self, topic: str, error: Exception) -> RobotKubeError:
+        """The error for what libgit2 raised: the forge is away, does not know the account, or refuses."""
+        url = str(self._repository.remotes[ORIGIN].url)
+        words = what_failed(error, url)
+        if isinstance(error, PermissionError) or "authentication" in words:
+            words = f"the forge refuses account {self._account[0]}: its password is wrong, or it is not made yet"
+            return AccountRefusedError(f"proposal {topic}: push: {words}")
+        if status := refused_status(error):
+            return _refused(topic, refusal_words(status, url, self._account))
+        return UnavailableError(f"proposal {topic}: push: {words}")
 
     def _lookup(self, commit: str) -> pygit2.Commit:
         return look_up(self._repository, commit, "proposals")
+
+
+def _refused(topic: str, words: str) -> RefusalError:
+    return RefusalError("ProposalRefused", f"the forge refused proposal {topic}: {words}")
 
 
 def _nested(changes: Mapping[str, str | None]) -> dict[str, Any]:
