@@ -105,6 +105,45 @@ def test_what_this_process_announces_arrives_at_a_peer(peer: socket.socket, monk
     assert not passing._thread.is_alive()
 
 
+def test_a_problem_is_logged_once_until_it_is_another_one_or_ends(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The addresses of the pod are on no link of it, as while its network is not up; then they are none at all."""
+    monkeypatch.setattr(unicast_discovery, "LOOK_SECONDS", 0.02)
+    monkeypatch.setattr(unicast_discovery, "LOOK_SECONDS_MAX", 0.02)
+    caplog.set_level("INFO", "robotkube")
+    own = ["192.0.2.1"]
+    looks: list[str] = []
+
+    def look() -> frozenset[str]:
+        looks.append(own[0])
+        return frozenset({"127.0.0.7"})
+
+    def logged() -> list[tuple[str, str]]:
+        return [(one.levelname, one.getMessage()) for one in caplog.records if one.name == unicast_discovery.__name__]
+
+    def after_looks(number: int, address: str) -> None:
+        own[0] = address
+        until(lambda: looks.count(address) >= number, f"{number} looks with {address}")
+
+    passing = UnicastDiscovery(DOMAIN + 1, look, lambda: frozenset({own[0]}))
+    try:
+        after_looks(5, "192.0.2.1")
+        [(level, problem)] = logged()
+        assert level == "WARNING"
+        assert problem.startswith("discovery: announcements are not passed on to peers: ")
+        after_looks(5, "no address")
+        assert len(logged()) == 2
+        assert logged()[1][1] not in ("", problem)
+        after_looks(3, "127.0.0.1")
+        assert logged()[2:] == [("INFO", "discovery: announcements are passed on to peers again")]
+        after_looks(10, "192.0.2.1")
+        until(lambda: len(logged()) == 4, "it has begun again")
+        assert logged()[3] == ("WARNING", problem)
+    finally:
+        passing.close()
+
+
 def told(peer: socket.socket, source: str, packet: bytes) -> bool:
     """Whether the peer has a packet that somebody at this address sent to the group."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as announcing:

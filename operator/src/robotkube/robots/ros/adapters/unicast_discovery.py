@@ -118,6 +118,7 @@ class UnicastDiscovery:
         self._first = BASE + OF_DOMAIN * domain
         self._look = look
         self._own = own
+        self._problem = ""
         self._announcements = Announcements([self._first + UNICAST + OF_PARTICIPANT * n for n in range(PARTICIPANTS)])
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="discovery", daemon=True)
@@ -135,15 +136,26 @@ class UnicastDiscovery:
             own = self._own()
             others = self._look() - own
             self._announcements.know(others)
-            try:
-                if others:
-                    self._pass_on(own)
-            except OSError as error:
-                log.warning("discovery: announcements are not passed on to peers: %s", error)
+            if others and not self._passed_on(own):
                 others = frozenset()
             failures = 0 if others else failures + 1
             if not others:
                 self._stopping.wait(backoff(failures, LOOK_SECONDS, LOOK_SECONDS_MAX, random.random))
+
+    def _passed_on(self, own: frozenset[str]) -> bool:
+        """Pass on until the next look; False when that failed. It is logged when it comes, when it is another problem,
+        and when it has ended: each look meets what stays."""
+        try:
+            self._pass_on(own)
+        except OSError as error:
+            if str(error) != self._problem:
+                log.warning("discovery: announcements are not passed on to peers: %s", error)
+            self._problem = str(error)
+            return False
+        if self._problem:
+            log.info("discovery: announcements are passed on to peers again")
+        self._problem = ""
+        return True
 
     def _pass_on(self, own: frozenset[str]) -> None:
         """Hear, until the next look, this process's own announcements and send them to peers. What others announce to
