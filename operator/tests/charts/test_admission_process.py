@@ -48,10 +48,7 @@ from tests.stages.registry.signed_evidence import artefact, published, signing_k
 from tests.stages.settings_mounted import mounted
 from tests.stages.waiting import until
 
-pytestmark = [
-    pytest.mark.toolchain,
-    pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning"),
-]
+pytestmark = pytest.mark.toolchain
 AGENT = "vehicle-00"
 PODS = path("Pod", AGENT) + "?dryRun=All"
 LISTS = "/api/v1/namespaces/robotkube/configmaps"

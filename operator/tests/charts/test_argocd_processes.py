@@ -32,7 +32,7 @@ from tests.stages.programs import program
 from tests.stages.registry.admission_examples import ALLOWED, CHART, DOMAIN, OF_THE_PLATFORM, REPLICA_SETS, digest
 from tests.stages.waiting import until
 
-pytestmark = [pytest.mark.toolchain, pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")]
+pytestmark = pytest.mark.toolchain
 
 IMAGES = {"argocd": OF_THE_PLATFORM, "redis": OF_THE_PLATFORM}
 SETUP = ArgoCDSetup(

@@ -18,10 +18,7 @@ from robotkube.setup.adapters.client_ids import ConfigMapClientIds
 from tests.stages.kubernetes.api_server import ApiServerProcess
 from tests.stages.kubernetes.installed_chart import CHART, Cluster
 
-pytestmark = [
-    pytest.mark.toolchain,
-    pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning"),
-]
+pytestmark = pytest.mark.toolchain
 PROFILES = Path(__file__).parent / "profiles"
 PLACE = ("robotkube", "console-sign-in")
 OURS = ("ServiceAccount/bootstrap", "Role/robotkube-bootstrap-console", "RoleBinding/robotkube-bootstrap-console")

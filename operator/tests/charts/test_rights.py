@@ -252,7 +252,6 @@ def test_an_account_may_do_exactly_this(asking: httpx.Client, everybody: Rights,
     assert found == expected
 
 
-@pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")
 def test_the_console_writes_tasks_as_a_listed_group_alone(installed: Cluster, tmp_path: Path) -> None:
     """By trying, with the console's own token: not by itself, not as another group, not in another namespace."""
     with console_api(installed, tmp_path) as api:

@@ -25,10 +25,7 @@ from tests.stages.registry.admission_examples import (
 )
 from tests.stages.registry.signed_evidence import artefact, catalogue, published, signing_key, trusting
 
-pytestmark = [
-    pytest.mark.toolchain,
-    pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning"),
-]
+pytestmark = pytest.mark.toolchain
 CONFIG_MAPS = "/api/v1/namespaces/robotkube/configmaps"
 
 

@@ -238,7 +238,6 @@ def test_what_is_heard_of_another_scope_is_by_consent_of_both(
 
 
 @pytest.mark.toolchain
-@pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")
 def test_agents_of_a_cluster(manager_api: Api, repository: Repository, capsys: pytest.CaptureFixture[str]) -> None:
     """Settings, Nodes and leases as a real API server has them."""
     where = "/api/v1/namespaces/robotkube/configmaps"

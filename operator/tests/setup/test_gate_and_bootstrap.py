@@ -41,7 +41,7 @@ from tests.stages.recording.database_server import SETUP_PASSWORD, SETUP_USER, D
 from tests.stages.waiting import until
 
 ADDRESS = "127.0.0.1"
-pytestmark = [pytest.mark.toolchain, pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")]
+pytestmark = pytest.mark.toolchain
 
 
 # -- gate -------------------------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ from tests.stages.kubernetes.argocd_objects import (
     remove_argocd,
 )
 
-pytestmark = [pytest.mark.toolchain, pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")]
+pytestmark = pytest.mark.toolchain
 
 READERS = ("argocd-server", "argocd-applicationset-controller")
 SETUP = ArgoCDSetup("manager", "password", "p, role:x\n", "secret of the gate", "default", READERS)

@@ -27,7 +27,7 @@ from tests.stages.kubernetes.installed_chart import CHART, Cluster, prepared_clu
 from tests.stages.paths import REPOSITORY
 from tests.stages.programs import program
 
-pytestmark = [pytest.mark.toolchain, pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")]
+pytestmark = pytest.mark.toolchain
 
 PATIENCE_SECONDS = 60.0
 PROFILE = REPOSITORY / "operator/tests/charts/profiles/official.yaml"

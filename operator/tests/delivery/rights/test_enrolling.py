@@ -25,10 +25,7 @@ from tests.stages.forge.installation import RESERVED, Installation, RunningGate
 from tests.stages.kubernetes.api_calls import Api
 from tests.stages.waiting import until
 
-pytestmark = [
-    pytest.mark.toolchain,
-    pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning"),
-]
+pytestmark = pytest.mark.toolchain
 
 [NEW] = RESERVED
 WITH_RESERVED = replace(ACCOUNTS, agents=(*ACCOUNTS.agents, AgentAccount(NEW, "", NEW)))

@@ -23,7 +23,7 @@ from tests.stages.kubernetes.api_calls import TASKS, Api
 from tests.stages.programs import free_port
 from tests.stages.waiting import until
 
-pytestmark = [pytest.mark.toolchain, pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")]
+pytestmark = pytest.mark.toolchain
 
 OPERATOR = "cloud-0"
 ANSWER_SECONDS_MAX = 20.0

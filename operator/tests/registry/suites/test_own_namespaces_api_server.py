@@ -30,8 +30,7 @@ from tests.stages.paths import REPOSITORY
 from tests.stages.registry.admission_examples import ALLOWED, DOMAIN, STRANGE, VERIFIED
 from tests.stages.waiting import until
 
-INSECURE = "ignore::urllib3.exceptions.InsecureRequestWarning"
-pytestmark = [pytest.mark.toolchain, pytest.mark.filterwarnings(INSECURE)]
+pytestmark = pytest.mark.toolchain
 
 SOURCE, OWN, PLATFORM = "robotkube-suite-0", "robotkube-try-1", "robotkube"
 GOLDEN = REPOSITORY / "operator" / "tests" / "charts" / "golden" / "embedded.yaml"

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import os
 import secrets
+import ssl
 import subprocess
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -39,6 +40,11 @@ class ApiServerProcess:
     def kubeconfig(self) -> Path:
         return self.folder / "kubeconfig"
 
+    @property
+    def authority(self) -> Path:
+        """The file of who signed the API server's certificate, which it makes itself when it starts first."""
+        return self.folder / "certificates" / "apiserver.crt"
+
     def start(self) -> None:
         key = self.folder / "account.key"
         subprocess.run(["openssl", "genrsa", "-out", str(key), "2048"], check=True, capture_output=True, timeout=30)
@@ -65,17 +71,22 @@ class ApiServerProcess:
             "--service-account-issuer=https://kubernetes.default.svc", f"--service-account-key-file={key}",
             f"--service-account-signing-key-file={key}", *self.options,
         )  # fmt: skip
-        deadline = time.monotonic() + START_SECONDS_MAX
+        self._until(self.authority.with_suffix(".key").exists)  # written after the certificate
         with self.client() as client:
-            while not _ready(client):
-                assert self.server.poll() is None, self._log()
-                assert time.monotonic() < deadline, self._log()
-                time.sleep(POLL_SECONDS)
+            self._until(lambda: _ready(client))
+
+    def _until(self, reached: Callable[[], bool]) -> None:
+        deadline = time.monotonic() + START_SECONDS_MAX
+        while not reached():
+            assert self.server is not None
+            assert self.server.poll() is None, self._log()
+            assert time.monotonic() < deadline, self._log()
+            time.sleep(POLL_SECONDS)
 
     def client(self) -> httpx.Client:
         """Requests of the administrator."""
         headers, base = {"Authorization": f"Bearer {self.token}"}, f"https://127.0.0.1:{self.port}"
-        return httpx.Client(base_url=base, headers=headers, verify=False, timeout=30)  # noqa: S501
+        return httpx.Client(base_url=base, headers=headers, verify=believing(self.authority), timeout=30)
 
     def stop_server(self) -> None:
         """Killed: asked to end, it waits for its open watches."""
@@ -104,7 +115,7 @@ class ApiServerProcess:
         return (self.folder / "kube-apiserver.log").read_text()[-2000:]
 
     def _write_kubeconfig(self) -> None:
-        server = {"server": f"https://127.0.0.1:{self.port}", "insecure-skip-tls-verify": True}
+        server = {"server": f"https://127.0.0.1:{self.port}", "certificate-authority": str(self.authority)}
         document = {
             "apiVersion": "v1",
             "kind": "Config",
@@ -114,6 +125,11 @@ class ApiServerProcess:
             "current-context": "test",
         }
         self.kubeconfig.write_text(yaml.safe_dump(document))
+
+
+def believing(authority: Path) -> ssl.SSLContext:
+    """What a client verifies servers by: this authority alone."""
+    return ssl.create_default_context(cafile=str(authority))
 
 
 def _ready(client: httpx.Client) -> bool:

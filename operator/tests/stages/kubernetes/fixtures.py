@@ -1,6 +1,5 @@
 """One API server per session with the definitions of tasks and (in short) of Argo CD Applications."""
 
-import warnings
 from collections.abc import Iterator
 
 import pytest
@@ -10,20 +9,12 @@ from tests.stages.kubernetes.api_calls import Api, prepare
 from tests.stages.kubernetes.api_server import ApiServerProcess
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    for item in items:
-        if "api_server" in getattr(item, "fixturenames", ()):
-            item.add_marker(pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning"))
-
-
 @pytest.fixture(scope="session")
 def api_server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ApiServerProcess]:
     process = ApiServerProcess(tmp_path_factory.mktemp("api"))
     try:
         process.start()
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            prepare(Api(api_client(str(process.kubeconfig))))
+        prepare(Api(api_client(str(process.kubeconfig))))
         yield process
     finally:
         process.stop()

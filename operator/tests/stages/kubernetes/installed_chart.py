@@ -17,7 +17,7 @@ import httpx
 import yaml
 
 from robotkube.registry.admission.adapters.policy_files import PolicyFiles
-from tests.stages.kubernetes.api_server import ApiServerProcess
+from tests.stages.kubernetes.api_server import ApiServerProcess, believing
 from tests.stages.kubernetes.argocd_definitions import KINDS, define
 from tests.stages.paths import CHARTS
 from tests.stages.programs import SELDOM_COLLECTING, program
@@ -65,8 +65,9 @@ class Cluster:
         document = yaml.safe_load(self.kubeconfig.read_text())
         headers = {"Authorization": f"Bearer {document['users'][0]['user']['token']}"}
         headers |= {"Impersonate-User": f"system:serviceaccount:{account}"} if account else {}
-        base = document["clusters"][0]["cluster"]["server"]
-        return httpx.Client(base_url=base, headers=headers, verify=False, timeout=30)  # noqa: S501
+        server = document["clusters"][0]["cluster"]
+        verify = believing(Path(server["certificate-authority"]))
+        return httpx.Client(base_url=server["server"], headers=headers, verify=verify, timeout=30)
 
     def password(self, namespace: str, name: str) -> str:
         secret = json.loads(self.kubectl("get", "secret", name, "-n", namespace, "-o", "json"))

@@ -29,11 +29,7 @@ from tests.stages.paths import CHARTS
 from tests.stages.programs import folder as programs
 from tests.stages.waiting import until
 
-pytestmark = [
-    pytest.mark.toolchain,
-    pytest.mark.thorough,
-    pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning"),
-]
+pytestmark = [pytest.mark.toolchain, pytest.mark.thorough]
 
 CHART = str(CHARTS / "robotkube")
 IMAGES = ("argocd", "redis", *PLATFORM_IMAGES, *SERVICE_NAMES)

@@ -24,7 +24,7 @@ from tests.stages.kubernetes.api_calls import TASKS, Api
 from tests.stages.programs import free_port
 from tests.stages.waiting import until
 
-pytestmark = [pytest.mark.toolchain, pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")]
+pytestmark = pytest.mark.toolchain
 PACKAGE = "robotkube."
 MANAGER = (  # what the manager writes in the story below
     "foundation.forge.adapters.git.proposals.ProposalWriter.propose",

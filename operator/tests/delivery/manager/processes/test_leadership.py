@@ -26,11 +26,7 @@ from tests.stages.kubernetes.api_calls import LEASE_LABELS, LEASES, TASKS, Api
 from tests.stages.programs import free_port
 from tests.stages.waiting import until
 
-pytestmark = [
-    pytest.mark.toolchain,
-    pytest.mark.thorough,
-    pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning"),
-]
+pytestmark = [pytest.mark.toolchain, pytest.mark.thorough]
 TAKE_OVER_SECONDS_MAX = 15.0
 TERM_OF_MAIN = 41
 GRACE = 1.0  # seconds that observing itself may take

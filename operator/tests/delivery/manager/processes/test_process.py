@@ -29,7 +29,7 @@ from tests.stages.programs import free_port
 from tests.stages.waiting import until
 
 HERE = "127.0.0.1"
-pytestmark = [pytest.mark.toolchain, pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning")]
+pytestmark = pytest.mark.toolchain
 
 
 @pytest.fixture

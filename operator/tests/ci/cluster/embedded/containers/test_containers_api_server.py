@@ -27,10 +27,7 @@ from tests.stages.kubernetes.api_server import ApiServerProcess
 from tests.stages.paths import REPOSITORY
 from tests.stages.waiting import until
 
-pytestmark = [
-    pytest.mark.toolchain,
-    pytest.mark.filterwarnings("ignore::urllib3.exceptions.InsecureRequestWarning"),
-]
+pytestmark = pytest.mark.toolchain
 
 DEFINITION = REPOSITORY / "charts/robotkube/templates/inspections/customresourcedefinition.yaml"
 DEFINITIONS = "/apis/apiextensions.k8s.io/v1/customresourcedefinitions"
