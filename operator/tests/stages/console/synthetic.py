@@ -103,16 +103,9 @@ class Fleet:
 
     def agent(self, number: int, name: str, now_ms: int) -> Document:
         ready = number % 20 != 7
-        node = {
-            "name": name,
-            "ready": ready,
-            "cordoned": number % 9 == 4,
-            "since_ms": now_ms - 45_000,
-            "shared_with": [],
-        }
-        if name in (shared := self.names[SHARING]):
-            others = [other for other in shared if other != name]
-            node |= {"name": shared[0], "cordoned": False, "shared_with": others}
+        shared = self.names[SHARING] if name in self.names[SHARING] else [name]
+        node = {"name": shared[0], "ready": ready, "cordoned": number % 9 == 4, "since_ms": now_ms - 45_000}
+        node["shared_with"] = [other for other in shared if other != name]
         hold = {"reason": "driving", "until_ms": now_ms + 600_000} if number % 6 == 1 else None
         since = None if ready else now_ms // 600_000 * 600_000 - 45_000
         more = {"nodes": [node], "ready": ready, "hold": hold, "silent_since_ms": since}
