@@ -5,7 +5,8 @@ Tests on the cluster wait a third of their time, so groups that only compute run
 what these print follows once they have ended.
 
 What a group needs (Debian packages, tool chain, images) is made before its time begins, once, and cached. Tests find
-the programs of the tool chain in the folder ROBOTKUBE_TOOLCHAIN_BIN. A group that runs no test has failed.
+the programs of the tool chain in the folder ROBOTKUBE_TOOLCHAIN_BIN. A group that runs no test has failed, and so has a
+whole run during which a file of the repository changed.
 """
 
 from __future__ import annotations
@@ -16,7 +17,10 @@ import sys
 from ci.errors import SetUpError
 from ci.machine import preflight
 from ci.reference import principles
-from ci.test.groups import FAST, GROUPS, TESTS, THOROUGH, Result, failures, run_all, table
+from ci.test import working_tree
+from ci.test.groups import FAST, GROUPS, TESTS, THOROUGH, TOP, Group, Result, failures, run_all, table
+
+FILES = Group("files", "", 60, "nothing")  # of the repository: not chosen, but compared by each run
 
 
 def main() -> int:
@@ -29,6 +33,7 @@ def main() -> int:
     arguments = parser.parse_args()
     tier = THOROUGH if arguments.thorough else (FAST,) if arguments.fast else GROUPS
     groups = [group for group in every if group.name in arguments.only] if arguments.only else list(tier)
+    before = working_tree.read(TOP)
     finished: list[Result] = []
     try:
         if any(one.needs != "nothing" for one in groups):
@@ -42,11 +47,27 @@ def main() -> int:
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return 130
+    whole = not arguments.fast and not arguments.only and arguments.places == [TESTS]
+    finished += compared(before, working_tree.read(TOP), whole)
     differences = principles.differences()
     if differences and any(one.group.name in ("platform", "clusters") for one in finished):
         print(f"\nTable I is not what its page states ({differences}): `make reference` writes it", flush=True)
     print("\n" + "\n".join([*failures(finished), table(finished)]), flush=True)
     return 1 if any(one.failed or not one.passed for one in finished) else 0
+
+
+def compared(before: working_tree.Files, after: working_tree.Files, whole: bool) -> list[Result]:
+    """Say what became of the repository's files. That some changed is a failure of a `whole` run, which has tested no
+    one state of them; who runs some tests may be writing."""
+    if before.unread:
+        print(f"\nno file was compared with what it was before the tests: {before.unread}", flush=True)
+    difference = working_tree.difference(before, after)
+    if not difference:
+        return []
+    if whole:
+        return [Result(FILES, 0, 1, 0, 0.0, {"files of the repository": difference})]
+    print(f"\nnot counted as a failure: {difference}", flush=True)
+    return []
 
 
 if __name__ == "__main__":
