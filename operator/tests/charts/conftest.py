@@ -50,13 +50,13 @@ class Rendered:
 
     def one(self, kind: str, name: str, namespace: str | None = None) -> Object:
         """The object of this kind and name; `namespace` None is the release's own."""
-        found = [
+        matching = [
             document
             for document in self.of_kind(kind)
             if document["metadata"]["name"] == name and document["metadata"].get("namespace") == namespace
         ]
-        assert len(found) == 1, f"{kind} {namespace}/{name}: {len(found)} found"
-        return found[0]
+        assert len(matching) == 1, f"{kind} {namespace}/{name}: {len(matching)} found"
+        return matching[0]
 
     @property
     def pods(self) -> list[tuple[str, Object]]:

@@ -63,34 +63,36 @@ def test_helm_installs_the_process_and_the_platforms_list_and_no_policy(rendered
 def test_the_process_reads_what_the_chart_writes_and_judges_this_installation(
     rendered: Rendered, tmp_path: Path
 ) -> None:
-    found = read_settings(mounted(rendered, "admission", tmp_path), process.read_configuration)
-    assert found.domain == domain(rendered)
-    assert found.forge.account.username == "admission"
-    assert (found.listen.port, found.listen.health_port) == (8080, 8081)
+    settings = read_settings(mounted(rendered, "admission", tmp_path), process.read_configuration)
+    assert settings.domain == domain(rendered)
+    assert settings.forge.account.username == "admission"
+    assert (settings.listen.port, settings.listen.health_port) == (8080, 8081)
     keys = rendered.one("ConfigMap", "evidence-keys", None)["data"]
-    assert {path.name for path in found.evidence_keys.iterdir()} == set(keys)
+    assert {path.name for path in settings.evidence_keys.iterdir()} == set(keys)
 
 
 def test_the_remover_is_named_where_it_is_enabled(helm: Helm, tmp_path: Path) -> None:
     """Where it is not, nobody but Argo CD changes a workload."""
-    found = helm.template(PLATFORM, *FILES, admission={"enabled": True}, remover={"enabled": True})
-    read = read_settings(mounted(found, "admission", tmp_path), process.read_configuration)
-    assert read.domain == domain(found, "remover")
-    [remover] = [item for item in found.of_kind("ServiceAccount") if item["metadata"]["name"] == read.domain.remover]
+    rendering = helm.template(PLATFORM, *FILES, admission={"enabled": True}, remover={"enabled": True})
+    read = read_settings(mounted(rendering, "admission", tmp_path), process.read_configuration)
+    assert read.domain == domain(rendering, "remover")
+    [remover] = [
+        item for item in rendering.of_kind("ServiceAccount") if item["metadata"]["name"] == read.domain.remover
+    ]
     assert read.domain.remover_account == account(remover["metadata"].get("namespace", "robotkube"), "remover")
     assert read.domain.remover_account in str(for_api(read.domain))
 
 
 def test_the_gates_namespace_is_judged_as_the_platforms(helm: Helm, tmp_path: Path) -> None:
-    found = helm.template(PLATFORM, *FILES, admission={"enabled": True}, gate={"namespace": "signing"})
-    read = read_settings(mounted(found, "admission", tmp_path), process.read_configuration)
+    rendering = helm.template(PLATFORM, *FILES, admission={"enabled": True}, gate={"namespace": "signing"})
+    read = read_settings(mounted(rendering, "admission", tmp_path), process.read_configuration)
     assert read.domain.of_the_platform == ("robotkube", "signing")
 
 
 def test_without_agents_and_suites_it_judges_none(helm: Helm, tmp_path: Path) -> None:
     values: dict[str, Any] = {"admission": {"enabled": True}, "agents": [], "suites": {"enabled": False}}
-    found = helm.template(PLATFORM, *FILES, **values)
-    read = read_settings(mounted(found, "admission", tmp_path), process.read_configuration)
+    rendering = helm.template(PLATFORM, *FILES, **values)
+    read = read_settings(mounted(rendering, "admission", tmp_path), process.read_configuration)
     assert (read.domain.agents, read.domain.tests) == ((), ())
 
 
@@ -150,8 +152,8 @@ def test_what_people_set_for_its_pod_reaches_it(helm: Helm) -> None:
         "priorityClassName": "platform-critical",
         "resources": {"requests": {"cpu": "30m"}},
     }
-    found = helm.template(PLATFORM, *FILES, admission={"enabled": True, **given})
-    template = found.one("Deployment", "admission")["spec"]["template"]
+    rendering = helm.template(PLATFORM, *FILES, admission={"enabled": True, **given})
+    template = rendering.one("Deployment", "admission")["spec"]["template"]
     assert template["metadata"]["labels"]["team"] == "fleet"
     assert template["metadata"]["annotations"]["example.com/scrape"] == "true"
     spec = template["spec"]
@@ -162,13 +164,13 @@ def test_what_people_set_for_its_pod_reaches_it(helm: Helm) -> None:
 
 
 def test_it_reaches_forge_and_api_server_and_the_forge_reaches_it(rendered: Rendered) -> None:
-    found = rendered.one("NetworkPolicy", "admission", "robotkube")["spec"]
-    assert found["podSelector"]["matchLabels"]["app.kubernetes.io/component"] == "admission"
+    policy = rendered.one("NetworkPolicy", "admission", "robotkube")["spec"]
+    assert policy["podSelector"]["matchLabels"]["app.kubernetes.io/component"] == "admission"
     called = {
-        (peer["podSelector"]["matchLabels"]["app.kubernetes.io/component"]) for peer in found["ingress"][0]["from"]
+        peer["podSelector"]["matchLabels"]["app.kubernetes.io/component"] for peer in policy["ingress"][0]["from"]
     }
-    assert (called, found["ingress"][0]["ports"]) == ({"forge"}, [{"port": 8080, "protocol": "TCP"}])
-    assert sorted(port["port"] for rule in found["egress"] for port in rule["ports"]) == [53, 53, 3000, 6443]
+    assert (called, policy["ingress"][0]["ports"]) == ({"forge"}, [{"port": 8080, "protocol": "TCP"}])
+    assert sorted(port["port"] for rule in policy["egress"] for port in rule["ports"]) == [53, 53, 3000, 6443]
 
 
 def test_the_platforms_images_are_listed_by_the_chart(rendered: Rendered) -> None:

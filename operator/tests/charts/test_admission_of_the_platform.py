@@ -123,9 +123,9 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Demo]:
             on_disk = CatalogueOnDisk(lambda: forge.repositories, own / "clones")
             following = admission_files.following(folders, CatalogueListing(on_disk, TrustedKeys(own / "keys")))
             installer = WithoutNodes(binaries, cluster.kubeconfig, folder, profile)
-            found = Demo(cluster, folders, installer, wanted, forge, following)
-            found.install()
-            yield found
+            stage = Demo(cluster, folders, installer, wanted, forge, following)
+            stage.install()
+            yield stage
 
 
 def test_every_workload_of_the_platform_gets_its_pods(demo: Demo, helm: Helm) -> None:
@@ -194,6 +194,6 @@ def image_of(rendered: Rendered) -> str:
 
 def test_nothing_of_it_would_be_stranded(demo: Demo) -> None:
     """What `--dry-run` says of the same cluster; the forge's volume is found by its claim, which has none here."""
-    found = report(Calls(demo.cluster), demo.folders, demo.wanted, LOCK)
-    releases = [one for one in found.stranded if one.namespace != AGENT]
+    stranded = report(Calls(demo.cluster), demo.folders, demo.wanted, LOCK)
+    releases = [one for one in stranded.stranded if one.namespace != AGENT]
     assert releases == []

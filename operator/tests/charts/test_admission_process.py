@@ -127,23 +127,23 @@ def set_up(rendered: Rendered, forge: ForgeProcess, folder: Path, webhook: str) 
 
 def settings_of(rendered: Rendered, forge: ForgeProcess, port: int, key: KeyFile, folder: Path) -> Path:
     """The chart's settings, with the places of these tests."""
-    found = mounted(rendered, "admission", folder)
-    document = yaml.safe_load(found.read_text())
+    mount = mounted(rendered, "admission", folder)
+    document = yaml.safe_load(mount.read_text())
     document["forge"]["url"] = forge.url
     del document["forge"]["authorities"]  # this forge speaks in clear text
     document["listen"] = {"address": "127.0.0.1", "port": port}
     trusting(folder / "keys", key)
-    found.write_text(yaml.safe_dump(document))
-    return found
+    mount.write_text(yaml.safe_dump(document))
+    return mount
 
 
 def kubeconfig_of(cluster: Cluster, folder: Path) -> Path:
     """Access with a token of the process's account."""
     document = yaml.safe_load(cluster.kubeconfig.read_text())
     document["users"][0]["user"] = {"token": cluster.kubectl("create", "token", "admission").strip()}
-    found = folder / "admission-kubeconfig"
-    found.write_text(yaml.safe_dump(document))
-    return found
+    config = folder / "admission-kubeconfig"
+    config.write_text(yaml.safe_dump(document))
+    return config
 
 
 @pytest.fixture(scope="module")
@@ -155,11 +155,11 @@ def rendered(helm: Helm) -> Rendered:
 def cluster(rendered: Rendered, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
     """An API server with what Helm installs of admission, and the controllers, which collect garbage."""
     folder = tmp_path_factory.mktemp("api")
-    with prepared_cluster(folder) as found, controlling(folder, found.kubeconfig):
+    with prepared_cluster(folder) as prepared, controlling(folder, prepared.kubeconfig):
         own = [one for one in rendered.of_kind(*OWN) if "admission" in one["metadata"]["name"]]
-        found.kubectl("apply", "-f", "-", text=yaml.safe_dump_all(own))
-        found.kubectl("create", "namespace", AGENT)
-        yield found
+        prepared.kubectl("apply", "-f", "-", text=yaml.safe_dump_all(own))
+        prepared.kubectl("create", "namespace", AGENT)
+        yield prepared
 
 
 @pytest.fixture(scope="module")
@@ -308,8 +308,8 @@ def test_the_account_may_do_this_and_nothing_else(stage: Stage) -> None:
     assert refused("GET", "/api/v1/namespaces/robotkube/secrets")
     assert refused("POST", PODS, pod(image(1)))
     for place in (POLICIES, BINDINGS):
-        found = stage.api.done("GET", f"{place}/robotkube-agents")
-        renamed = {**found, "metadata": {"name": "others"}}
+        listed = stage.api.done("GET", f"{place}/robotkube-agents")
+        renamed = {**listed, "metadata": {"name": "others"}}
         assert refused("POST", place, renamed)
         assert refused("PATCH", f"{place}/others{query}", renamed, apply)
         assert refused("DELETE", f"{place}/others")

@@ -177,8 +177,8 @@ def test_the_inspector_judges_the_gates_namespace_as_the_platforms(helm: Any, tm
 
 
 def test_the_job_that_makes_the_key_reads_the_settings_the_chart_writes(official: Any, tmp_path: Path) -> None:
-    found = read_settings(mounted(official, "gate-key", tmp_path), gate_key.read_configuration)
-    assert found.namespaces == (found.namespace, "robotkube") == ("robotkube-gate", "robotkube")
+    settings = read_settings(mounted(official, "gate-key", tmp_path), gate_key.read_configuration)
+    assert settings.namespaces == (settings.namespace, "robotkube") == ("robotkube-gate", "robotkube")
 
 
 @pytest.mark.parametrize("profile", ["official", "embedded"])
@@ -198,10 +198,10 @@ def test_probes_ask_the_port_for_health_and_services_the_other(
 
 
 def test_the_bootstrap_gets_all_seeds_and_accounts(official: Any, tmp_path: Path) -> None:
-    found = read_settings(mounted(official, "bootstrap", tmp_path), bootstrap.read_configuration)
-    assert found.forge is not None
-    assert found.database is not None
-    deployment, catalogue = found.forge.setup.repositories
+    settings = read_settings(mounted(official, "bootstrap", tmp_path), bootstrap.read_configuration)
+    assert settings.forge is not None
+    assert settings.database is not None
+    deployment, catalogue = settings.forge.setup.repositories
     assert {".gitkeep" in path for path in deployment.seed} == {True, False}
     assert {"README.md", "policies/initial.yaml", "bootstrap/applicationset.yaml"} <= set(deployment.seed)
     assert read_release_policy(catalogue.seed["policies/release.yaml"].decode(), "release.yaml").assurance == "verified"
@@ -209,7 +209,7 @@ def test_the_bootstrap_gets_all_seeds_and_accounts(official: Any, tmp_path: Path
     assert read_verification_policy(verification, "verification.yaml").suites
     initial = read_initial_policy(deployment.seed["policies/initial.yaml"].decode(), "initial.yaml")
     assert initial == InitialPolicy()
-    assert [account.database for account in found.database.accounts] == ["recordings_cloud_0"]
+    assert [account.database for account in settings.database.accounts] == ["recordings_cloud_0"]
 
 
 @pytest.mark.parametrize("profile", ["official", "embedded"])
@@ -217,12 +217,12 @@ def test_the_bootstrap_gives_the_rights_that_are_tried_on_a_forge(
     request: pytest.FixtureRequest, tmp_path: Path, profile: str
 ) -> None:
     path = mounted(request.getfixturevalue(profile), "bootstrap", tmp_path)
-    found = read_settings(path, bootstrap.read_configuration)
-    assert found.forge is not None
-    assert {one.name: one.packages for one in found.forge.setup.organisations} == PACKAGES
+    settings = read_settings(path, bootstrap.read_configuration)
+    assert settings.forge is not None
+    assert {one.name: one.packages for one in settings.forge.setup.organisations} == PACKAGES
     viewers = {VIEWER: "pulls"} if profile == "embedded" else {}
-    assert {one.name for one in found.forge.setup.accounts} == set(ACCOUNTS) - {VIEWER} | set(viewers)
-    for repository in found.forge.setup.repositories:
+    assert {one.name for one in settings.forge.setup.accounts} == set(ACCOUNTS) - {VIEWER} | set(viewers)
+    for repository in settings.forge.setup.repositories:
         assert {name: level for name, level in repository.access.items() if level == "pulls"} == viewers
 
 
@@ -234,11 +234,11 @@ def test_each_webhook_has_a_secret_of_its_own_that_both_ends_know(helm: Any, tmp
         name: read_settings(mounted(rendered, name, tmp_path / name), manager.read_configuration)
         for name in ("manager", "manager-north")
     }
-    own = {name: found.webhook_secret for name, found in managers.items()}
+    own = {name: settings.webhook_secret for name, settings in managers.items()}
     assert hearing.proposer_secrets == own
     assert len({hearing.webhook_secret, *own.values()}) == 3
-    for name, found in managers.items():
-        assert found.gate_objects_url == f"{GATE_URL}{gate.OBJECTS_PATH}/{name}"
+    for name, settings in managers.items():
+        assert settings.gate_objects_url == f"{GATE_URL}{gate.OBJECTS_PATH}/{name}"
     making = read_settings(mounted(rendered, "bootstrap", tmp_path / "bootstrap"), bootstrap.read_configuration)
     assert making.forge is not None
     called = {(str(httpx.URL(hook.url).host).partition(".")[0], hook.secret) for hook in making.forge.setup.webhooks}
@@ -296,8 +296,8 @@ def test_values_and_settings_of_the_earlier_version_are_still_read(
     earlier = helm.template(CHARTS / "earlier" / chart, profile, release=chart)
     later = helm.template(CHARTS / "apps" / chart, profile, release=chart)
     older, newer = (
-        APPS[chart](yaml.safe_load(found.one("ConfigMap", chart)["data"]["config.yaml"]), chart)
-        for found in (earlier, later)
+        APPS[chart](yaml.safe_load(rendering.one("ConfigMap", chart)["data"]["config.yaml"]), chart)
+        for rendering in (earlier, later)
     )
     if chart == "mqtt-bridge":
         assert newer.publish_gaps, "the later one tells of gaps by itself"
@@ -312,8 +312,8 @@ def test_values_and_settings_of_the_earlier_version_are_still_read(
 def test_two_versions_of_a_chart_differ_in_what_they_run(helm: Any, apps: Mapping[str, Any], chart: str) -> None:
     earlier = helm.template(CHARTS / "earlier" / chart, PROFILES / f"{chart}.yaml", release=chart)
     newer, older = (
-        APPS[chart](yaml.safe_load(found.one("ConfigMap", chart)["data"]["config.yaml"]), chart)
-        for found in (apps[chart], earlier)
+        APPS[chart](yaml.safe_load(rendering.one("ConfigMap", chart)["data"]["config.yaml"]), chart)
+        for rendering in (apps[chart], earlier)
     )
     assert newer != older
     images = chart_images.all_as("x@sha256:" + "5" * 64)

@@ -27,13 +27,13 @@ spec: {template: {spec: {containers: [{name: argocd-server, image: "quay.io/argo
 
 
 def one(objects: list[Object], kind: str, name: str) -> Object:
-    [found] = [o for o in objects if o["kind"] == kind and o["metadata"]["name"] == name]
-    return found
+    [match] = [o for o in objects if o["kind"] == kind and o["metadata"]["name"] == name]
+    return match
 
 
 def pod(objects: list[Object], name: str) -> Object:
-    [found] = [o for o in objects if o["kind"] in {"Deployment", "StatefulSet"} and o["metadata"]["name"] == name]
-    return dict(found["spec"]["template"]["spec"])
+    [workload] = [o for o in objects if o["kind"] in {"Deployment", "StatefulSet"} and o["metadata"]["name"] == name]
+    return dict(workload["spec"]["template"]["spec"])
 
 
 def test_runs_five_workloads_with_our_images_on_the_platform_node(argocd: list[Object]) -> None:
@@ -69,7 +69,7 @@ def test_its_workloads_say_their_version(argocd: list[Object]) -> None:
     labels = {
         o["metadata"]["name"]: o["metadata"]["labels"] for o in argocd if o["kind"] in {"Deployment", "StatefulSet"}
     }
-    said = {name: found.get("app.kubernetes.io/version") for name, found in labels.items()}
+    said = {name: labelled.get("app.kubernetes.io/version") for name, labelled in labels.items()}
     assert said.pop("argocd-redis") is None
     assert set(said.values()) == {version}
 
@@ -155,14 +155,14 @@ def test_no_secret_is_a_variable_but_one_that_a_container_waits_for(argocd: list
     pods = {
         one["metadata"]["name"]: one["spec"]["template"]["spec"] for one in argocd if "template" in one.get("spec", {})
     }
-    found = {
+    variables = {
         (name, variable["name"])
         for name, spec in pods.items()
         for container in [*spec.get("initContainers", []), *spec["containers"]]
         for variable in container.get("env", [])
         if "secretKeyRef" in variable.get("valueFrom", {})
     }
-    assert found == {("argocd-applicationset-controller", "ROBOTKUBE_START_AFTER_SERVER_KEY")}
+    assert variables == {("argocd-applicationset-controller", "ROBOTKUBE_START_AFTER_SERVER_KEY")}
 
 
 def test_its_cache_and_who_asks_it_read_the_password_from_a_file(argocd: list[Object]) -> None:

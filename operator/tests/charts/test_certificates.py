@@ -67,12 +67,12 @@ class Installed:
         return dict(answer.get("data") or {})
 
     def secret(self, name: str) -> dict[str, str]:
-        found = self.read(namespace_of(name), "secrets", name)
-        return {key: base64.b64decode(value).decode() for key, value in found.items()}
+        read = self.read(namespace_of(name), "secrets", name)
+        return {key: base64.b64decode(value).decode() for key, value in read.items()}
 
     def trusted(self) -> set[str]:
-        found = [self.read(place, "configmaps", "robotkube-ca") for place in ("robotkube", "robotkube-gate", *AGENTS)]
-        return {one.get("ca.crt", "") for one in found}
+        bundles = [self.read(place, "configmaps", "robotkube-ca") for place in ("robotkube", "robotkube-gate", *AGENTS)]
+        return {one.get("ca.crt", "") for one in bundles}
 
     def empty(self) -> None:
         """As the chart made them."""
@@ -199,8 +199,8 @@ def test_a_platform_that_has_passwords_keeps_them_until_somebody_says_otherwise(
     def identities(*options: str) -> set[str]:
         stage.cluster.helm("upgrade", "robotkube", str(CHART), *VALUES, "--no-hooks", *options)
         accounts = [("robotkube", "broker-account-observer"), *((agent, "broker-account") for agent in AGENTS)]
-        found = (stage.read(namespace, "secrets", name)["identity"] for namespace, name in accounts)
-        return {base64.b64decode(one).decode() for one in found}
+        kept = (stage.read(namespace, "secrets", name)["identity"] for namespace, name in accounts)
+        return {base64.b64decode(one).decode() for one in kept}
 
     assert identities() == {"certificate"}
     assert identities("--set", "tls.accounts=passwords") == {"password"}
@@ -224,8 +224,8 @@ def test_accounts_at_the_broker_have_certificates_that_helm_leaves_alone(stage: 
     def account(name: str, namespace: str = "robotkube") -> dict[str, str]:
         keeper.step()
         assert keeper.reasons_not_ready() == []
-        found = stage.read(namespace, "secrets", name)
-        return {key: base64.b64decode(value).decode() for key, value in found.items()}
+        secret = stage.read(namespace, "secrets", name)
+        return {key: base64.b64decode(value).decode() for key, value in secret.items()}
 
     before = account("broker-account", "vehicle-00")
     assert {"username", "password", "identity", "tls", "tls.crt", "tls.key"} <= set(before)

@@ -39,11 +39,11 @@ def chart(helm: Any, folder: Path, **values: Any) -> Path:
 
 @pytest.fixture(scope="module")
 def installed(api_server: ApiServerProcess, helm: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
-    found = Cluster(api_server.kubeconfig)
-    found.run("kubectl", "create", "namespace", "robotkube")  # it may be there
-    found.helm("install", "part", str(chart(helm, tmp_path_factory.mktemp("chart") / "part")))
-    yield found
-    found.helm("uninstall", "part")
+    prepared = Cluster(api_server.kubeconfig)
+    prepared.run("kubectl", "create", "namespace", "robotkube")  # it may be there
+    prepared.helm("install", "part", str(chart(helm, tmp_path_factory.mktemp("chart") / "part")))
+    yield prepared
+    prepared.helm("uninstall", "part")
 
 
 @pytest.fixture(scope="module")

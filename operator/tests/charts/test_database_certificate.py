@@ -114,12 +114,12 @@ def database(helm: Any, tmp_path: Path) -> Iterator[EncryptedDatabase]:
 
 def complaint(login: DatabaseLogin) -> str:
     """What somebody says who cannot connect."""
-    found = connect(login, ANSWER_SECONDS)
+    store = connect(login, ANSWER_SECONDS)
     try:
         with pytest.raises(UnavailableError) as error, translated("looking"):
-            found["samples"].find_one()
+            store["samples"].find_one()
     finally:
-        found.client.close()
+        store.client.close()
     return str(error.value)
 
 

@@ -133,7 +133,7 @@ def test_a_second_trusted_key_restarts_who_reads_it(helm: Any, embedded: Any) ->
     after = helm.template(PLATFORM, *files, evidence={"trustedKeys": {"next": pem}})
     for name, namespace in READERS.items():
         assert list(after.one("ConfigMap", "evidence-keys", namespace)["data"]) == ["embedded.pem", "next.pem"]
-        old, new = (found.one("Deployment", name, namespace)["spec"]["template"] for found in (embedded, after))
+        old, new = (rendering.one("Deployment", name, namespace)["spec"]["template"] for rendering in (embedded, after))
         assert old["metadata"]["annotations"] != new["metadata"]["annotations"]
         assert old["spec"] == new["spec"]
 
@@ -142,8 +142,10 @@ def test_another_pod_of_the_key_is_another_job(helm: Any, official: Any) -> None
     """A Job's pods cannot be changed: an upgrade with the same name and another pod would be refused."""
 
     def job(**values: Any) -> Object:
-        [found] = [o for o in helm.template(PLATFORM, PROFILE, **values).of_kind("Job") if "gate-key" in str(o["spec"])]
-        return dict(found)
+        [key_job] = [
+            o for o in helm.template(PLATFORM, PROFILE, **values).of_kind("Job") if "gate-key" in str(o["spec"])
+        ]
+        return dict(key_job)
 
     [same] = [o for o in official.of_kind("Job") if o["metadata"]["name"].startswith("gate-key-")]
     assert job() == same

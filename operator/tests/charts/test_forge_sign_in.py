@@ -88,8 +88,8 @@ class Stage:
         return OpenIdConnect(self.sign_in, client_id_file=self.console.client_id_file)
 
     def account(self, name: str) -> tuple[str, str]:
-        [found] = [one for one in self.configuration.setup.accounts if one.name == name]
-        return found.name, found.password
+        [match] = [one for one in self.configuration.setup.accounts if one.name == name]
+        return match.name, match.password
 
     def register(self, url: str = URL) -> list[str]:
         """Have the client registered, with the console at this address; what changed."""
@@ -101,8 +101,8 @@ class Stage:
     def applications(self) -> list[dict[str, Any]]:
         """The forge's OAuth2 applications of the administrator."""
         with self.http() as browser:
-            found = browser.get("/api/v1/user/applications/oauth2", auth=self.forge.administrator())
-        return list(found.raise_for_status().json())
+            answer = browser.get("/api/v1/user/applications/oauth2", auth=self.forge.administrator())
+        return list(answer.raise_for_status().json())
 
     def http(self) -> httpx.Client:
         """A browser's connection to the forge, at the address at which people see it."""

@@ -79,8 +79,8 @@ class Installed:
         return base64.b64decode(key["data"]["key.pem"]).decode()
 
     def public(self, namespace: str) -> dict[str, str]:
-        found = self.read(namespace, "configmaps", PUBLIC)
-        return dict(found["data"]) if found else {}
+        config_map = self.read(namespace, "configmaps", PUBLIC)
+        return dict(config_map["data"]) if config_map else {}
 
     def read(self, namespace: str, kind: str, name: str) -> dict[str, Any] | None:
         """An object as the administrator reads it."""
@@ -132,9 +132,9 @@ def installed(tmp_path_factory: pytest.TempPathFactory, values: Path) -> Iterato
         assert proxy.stdout is not None
         api = "http://" + proxy.stdout.readline().split()[-1]
         with cluster.client() as administrator:
-            found = Installed(cluster, administrator, values, api, tmp_path_factory.mktemp("job"))
-            found.helm("install")
-            yield found
+            stage = Installed(cluster, administrator, values, api, tmp_path_factory.mktemp("job"))
+            stage.helm("install")
+            yield stage
         proxy.kill()
         proxy.communicate(timeout=10)
 

@@ -48,8 +48,8 @@ def test_it_may_make_read_and_delete_tasks_of_one_namespace_and_nothing_else(off
 
 
 def test_its_recording_is_that_of_the_agent_whose_account_it_has(official: Any) -> None:
-    found = settings(official)
-    assert (found["agent"], found["parameters"]) == ("cloud-0", {"vehicles": ["vehicle-00"]})
+    asked = settings(official)
+    assert (asked["agent"], asked["parameters"]) == ("cloud-0", {"vehicles": ["vehicle-00"]})
     [mounted] = [one for one in dict(official.pods)[f"Job/{NAME}"]["volumes"] if one["name"] == "secrets"]
     assert [one["secret"]["name"] for one in mounted["projected"]["sources"][:1]] == ["database-account-cloud-0"]
     assert official.one("Secret", "database-account-cloud-0")["stringData"]["database"] == "recordings_cloud_0"

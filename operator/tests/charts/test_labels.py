@@ -81,17 +81,21 @@ def test_what_has_fixed_parts_else_is_made_anew_by_an_upgrade(helm: Any, install
 @pytest.mark.parametrize("installation", INSTALLATIONS)
 def test_everything_carries_the_labels_of_the_conventions(helm: Any, installation: str) -> None:
     rendered = helm.template(PLATFORM, *(PROFILES / name for name in INSTALLATIONS[installation]))
-    found = dict(labelled(rendered.objects))
-    assert len(found) > 60
-    assert {place: CONVENTIONS - set(labels) for place, labels in found.items() if not set(labels) >= CONVENTIONS} == {}
-    assert {labels["app.kubernetes.io/part-of"] for labels in found.values()} == {"robotkube"}
+    of_objects = dict(labelled(rendered.objects))
+    assert len(of_objects) > 60
+    assert {
+        place: CONVENTIONS - set(labels) for place, labels in of_objects.items() if not set(labels) >= CONVENTIONS
+    } == {}
+    assert {labels["app.kubernetes.io/part-of"] for labels in of_objects.values()} == {"robotkube"}
 
 
 @pytest.mark.parametrize("chart", APP_CHARTS)
 def test_releases_carry_the_labels_of_the_conventions(apps: Any, chart: str) -> None:
-    found = dict(labelled(apps[chart].objects))
-    assert len(found) == 3
-    assert {place: CONVENTIONS - set(labels) for place, labels in found.items() if not set(labels) >= CONVENTIONS} == {}
+    of_objects = dict(labelled(apps[chart].objects))
+    assert len(of_objects) == 3
+    assert {
+        place: CONVENTIONS - set(labels) for place, labels in of_objects.items() if not set(labels) >= CONVENTIONS
+    } == {}
 
 
 def test_managers_are_one_component_with_names_of_their_own(helm: Any) -> None:

@@ -34,8 +34,8 @@ KEPT = [
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
-    with prepared_cluster(tmp_path_factory.mktemp("api")) as found:
-        yield found
+    with prepared_cluster(tmp_path_factory.mktemp("api")) as prepared:
+        yield prepared
 
 
 @pytest.fixture(scope="module")
@@ -63,13 +63,13 @@ def installed(cluster: Cluster, values: Path, older: dict[str, Any]) -> Cluster:
 
 def selectors(cluster: Cluster) -> dict[str, Any]:
     """UID and selector of every workload, by kind, namespace and name: what was made anew has another UID."""
-    found = json.loads(cluster.kubectl("get", "deployments,statefulsets", "-A", "-o", "json"))["items"]
+    workloads = json.loads(cluster.kubectl("get", "deployments,statefulsets", "-A", "-o", "json"))["items"]
     return {
         f"{one['kind']} {one['metadata']['namespace']}/{one['metadata']['name']}": (
             one["metadata"]["uid"],
             one["spec"]["selector"],
         )
-        for one in found
+        for one in workloads
     }
 
 
@@ -89,9 +89,9 @@ def test_the_key_that_the_chart_before_made_is_there_to_be_moved(installed: Clus
 def test_the_api_server_has_the_network_policies_as_they_were_meant(
     installed: Cluster, helm: Any, values: Path
 ) -> None:
-    found = json.loads(installed.kubectl("get", "networkpolicies", "--all-namespaces", "-o", "json"))["items"]
+    policies = json.loads(installed.kubectl("get", "networkpolicies", "--all-namespaces", "-o", "json"))["items"]
     meant = helm.template(CHART, values).of_kind("NetworkPolicy")
-    assert {(one.namespace, one.name): one for one in map(read_policy, found)} == {
+    assert {(one.namespace, one.name): one for one in map(read_policy, policies)} == {
         (one.namespace, one.name): one for one in map(read_policy, meant)
     }
 

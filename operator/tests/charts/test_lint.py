@@ -56,9 +56,9 @@ def test_a_chart_passes_as_it_is(helm: Any, chart: str) -> None:
 
 @pytest.mark.parametrize("chart", [chart for chart in EVERY_CHART if profile(chart)])
 def test_a_chart_passes_with_the_values_of_a_release(helm: Any, chart: str) -> None:
-    found = profile(chart)
-    assert found is not None
-    assert lint(helm, CHARTS / chart, found) == ""
+    values = profile(chart)
+    assert values is not None
+    assert lint(helm, CHARTS / chart, values) == ""
 
 
 @pytest.mark.parametrize("name", PLATFORM_PROFILES)
@@ -90,12 +90,12 @@ def test_every_value_has_prose() -> None:
     def silent(schema: Any, path: str) -> list[str]:
         if not isinstance(schema, dict):
             return []
-        found = []
+        undescribed = []
         for key, value in schema.get("properties", {}).items():
             described = "description" in value or "$ref" in value or "enum" in value or set(value) <= {"type"}
-            found += [] if described else [f"{path}.{key}"]
-            found += silent(value, f"{path}.{key}")
-        return found + silent(schema.get("items"), f"{path}[]")
+            undescribed += [] if described else [f"{path}.{key}"]
+            undescribed += silent(value, f"{path}.{key}")
+        return undescribed + silent(schema.get("items"), f"{path}[]")
 
     for schema in CHARTS.glob("**/values.schema.json"):
         if not schema.parent.is_symlink():

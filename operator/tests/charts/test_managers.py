@@ -90,8 +90,8 @@ def test_no_manager_has_what_the_forge_signs_for_others_with(two: Any) -> None:
 
 def test_on_an_external_forge_only_who_hears_has_a_secret(helm: Any) -> None:
     external = {"kind": "external", "external": {"url": "https://git.example"}}
-    found = helm.template(PLATFORM, PROFILES / "official.yaml", forge=external)
-    assert holders(found) == {
+    rendering = helm.template(PLATFORM, PROFILES / "official.yaml", forge=external)
+    assert holders(rendering) == {
         "forge-webhook-gate": {"Deployment/gate"},
         "forge-webhook-manager": {"Deployment/gate", "Deployment/manager"},
         "forge-webhook-rights": {"Deployment/rights"},
@@ -101,14 +101,14 @@ def test_on_an_external_forge_only_who_hears_has_a_secret(helm: Any) -> None:
 def holders(rendered: Any) -> dict[str, set[str]]:
     """The secrets of webhooks, with the pods that mount them."""
     names = [o["metadata"]["name"] for o in rendered.of_kind("Secret")]
-    found: dict[str, set[str]] = {name: set() for name in names if name.startswith("forge-webhook")}
+    mounting: dict[str, set[str]] = {name: set() for name in names if name.startswith("forge-webhook")}
     for pod, specification in rendered.pods:
         for volume in specification.get("volumes", []):
             sources = [*volume.get("projected", {}).get("sources", []), volume]
             mounted = {s["secret"].get("name") or s["secret"]["secretName"] for s in sources if "secret" in s}
-            for name in mounted & set(found):
-                found[name].add(pod)
-    return found
+            for name in mounted & set(mounting):
+                mounting[name].add(pod)
+    return mounting
 
 
 def test_the_console_knows_whose_namespaces_are_whose(two: Any, official: Any, tmp_path: Path) -> None:
@@ -146,13 +146,13 @@ def test_the_forge_knows_every_manager_and_tells_it(two: Any) -> None:
 
 
 def test_namespaces_are_those_of_the_agents_when_left_out(helm: Any) -> None:
-    found = helm.template(PLATFORM, PROFILES / "official.yaml", managers=[NORTH, SOUTH])
-    assert settings(found, "north")["scope"] == {
+    rendering = helm.template(PLATFORM, PROFILES / "official.yaml", managers=[NORTH, SOUTH])
+    assert settings(rendering, "north")["scope"] == {
         "agents": ["vehicle-00"],
         "namespaces": ["vehicle-00"],
         "applications": ["*"],
     }
-    assert settings(found, "south")["node_lost_seconds"] == 40
+    assert settings(rendering, "south")["node_lost_seconds"] == 40
 
 
 REFUSALS: dict[str, tuple[list[dict[str, Any]], str]] = {
@@ -255,15 +255,15 @@ def test_the_gate_refuses_two_authors_for_an_agent(helm: Any, case: str, tmp_pat
     rendered = helm.template(PLATFORM, PROFILES / "official.yaml", managers=APART[case][0])
     with pytest.raises(DocumentError) as refused:
         read_settings(mounted(rendered, "gate", tmp_path), gate.read_configuration)
-    one, other = (found["name"] for found in APART[case][0])
+    one, other = (manager_values["name"] for manager_values in APART[case][0])
     assert f"forge.proposers: managers {one!r} and {other!r} both have " in str(refused.value)
     assert "name each in one manager only (charts/robotkube, values managers)" in str(refused.value)
 
 
 def test_managers_apart_start_and_so_does_the_gate(two: Any, tmp_path: Path) -> None:
     for name in ("manager", "manager-north"):
-        found = read_settings(mounted(two, name, tmp_path / name), manager.read_configuration)
-        assert found.manager.operators.manager.is_narrow
+        configuration = read_settings(mounted(two, name, tmp_path / name), manager.read_configuration)
+        assert configuration.manager.operators.manager.is_narrow
     assert len(read_settings(mounted(two, "gate", tmp_path / "gate"), gate.read_configuration).gate.proposers) == 2
 
 

@@ -12,7 +12,7 @@ def test_every_alert_asks_for_metrics_that_exist() -> None:
     assert len({one["alert"] for one in alerts}) == len(alerts) >= 6
     assert {one["severity"] for one in alerts} == {"critical", "warning"}
     names = documented()
-    missing = {one["alert"]: found for one in alerts if (found := asked(one["expr"]) - names)}
+    missing = {one["alert"]: metrics for one in alerts if (metrics := asked(one["expr"]) - names)}
     assert missing == {}
     assert all(asked(one["expr"]) for one in alerts)
 
@@ -26,7 +26,7 @@ def test_every_panel_asks_for_metrics_that_exist() -> None:
         for panel in dashboard["panels"]
         for expression, _ in panel["queries"]
     }
-    assert {title: found - names for title, found in queries.items() if found - names} == {}
+    assert {title: metrics - names for title, metrics in queries.items() if metrics - names} == {}
     assert all(queries.values())
 
 

@@ -84,7 +84,7 @@ def pods(
     places.append(("monitoring", "prometheus", {}))
     places.append(("robotkube-probe", "probe", {"app.kubernetes.io/component": "probe"}))
     places.append(("default", "stranger", {"app.kubernetes.io/component": "manager"}))
-    return {found.name: found for number, place in enumerate(places) for found in [pod(*place, number)]}
+    return {one.name: one for number, place in enumerate(places) for one in [pod(*place, number)]}
 
 
 def policies(objects: Sequence[Object]) -> list[NetworkPolicy]:
@@ -94,36 +94,36 @@ def policies(objects: Sequence[Object]) -> list[NetworkPolicy]:
 def meaning(everybody: Mapping[str, NetworkPeer], recording: Sequence[str]) -> dict[str, set[str]]:
     """The names of the table: which pods each means."""
     names = ["manager", "suite-runner", "inspector", "rights", "certificates", "forge", "broker", "database", *OPTIONAL]
-    found = {name: {f"robotkube/{name}"} for name in (*names, "bootstrap", "teardown", "installation-test")}
-    found |= {name: found[name] & set(everybody) for name in OPTIONAL}
-    found["manager"].add("robotkube/manager-again")
-    found["gate"] = {"robotkube-gate/gate"}
-    found["probe"] = {"robotkube-probe/probe"}
-    found["gate-key"] = {name for name in everybody if name.startswith("robotkube/gate-key-")}
+    meant = {name: {f"robotkube/{name}"} for name in (*names, "bootstrap", "teardown", "installation-test")}
+    meant |= {name: meant[name] & set(everybody) for name in OPTIONAL}
+    meant["manager"].add("robotkube/manager-again")
+    meant["gate"] = {"robotkube-gate/gate"}
+    meant["probe"] = {"robotkube-probe/probe"}
+    meant["gate-key"] = {name for name in everybody if name.startswith("robotkube/gate-key-")}
     for name in ("repo-server", "application-controller", "applicationset-controller", "redis"):
-        found[name] = {f"argocd/argocd-{name}"}
-    found["argocd-server"] = {"argocd/argocd-server"}
+        meant[name] = {f"argocd/argocd-{name}"}
+    meant["argocd-server"] = {"argocd/argocd-server"}
     applications = {name for name in everybody if name.endswith(("/mqtt-bridge", "/event-detector"))}
-    found["application"] = applications
-    found["recorder"] = {name for name in applications if name.split("/")[0] in recording}
+    meant["application"] = applications
+    meant["recorder"] = {name for name in applications if name.split("/")[0] in recording}
     tested = {name for name in everybody if name.startswith("robotkube-suite-")}
-    found |= {
+    meant |= {
         "tested": tested,
         "subject": {n for n in tested if "subject" in n},
         "helper": {n for n in tested if "helper" in n},
     }
-    return found | {"collector": set(), "admission": set(), "console-sign-in": set()}  # not installed, not asked for
+    return meant | {"collector": set(), "admission": set(), "console-sign-in": set()}  # not installed, not asked for
 
 
 def expected(means: Mapping[str, set[str]]) -> set[Reach]:
     """What the table of the page allows, one pair and port each."""
     rows = EDGE.findall(PAGE.read_text(encoding="utf-8"))
     assert len(rows) > 40
-    found: set[Reach] = set()
+    reach: set[Reach] = set()
     for who, whom, port in rows:
         for name in re.findall("`([a-z-]+)`", who):
-            found |= reaches(means, name, whom, port)
-    return found
+            reach |= reaches(means, name, whom, port)
+    return reach
 
 
 def reaches(means: Mapping[str, set[str]], name: str, whom: str, port: str) -> set[Reach]:
@@ -196,8 +196,8 @@ def test_the_embedded_cluster_allows_what_the_table_says_and_nothing_else(
     wanted = expected(means) - called  # nobody on the host calls these
     wanted |= {("node", "robotkube/forge", "TCP", 3000)}  # clients of the forge are the nodes, too: they pull images
     rules = [*policies(embedded.objects), *policies(argocd)]
-    found = table(rules, everybody)
-    assert difference({one for one in found if not not_ours(one)}, wanted) == NOTHING
+    allowed = table(rules, everybody)
+    assert difference({one for one in allowed if not not_ours(one)}, wanted) == NOTHING
     assert each_side(rules, everybody, wanted) == {"ingress": NOTHING, "egress": NOTHING}
 
 
@@ -215,8 +215,8 @@ def test_a_cluster_of_ones_own_allows_what_the_table_says_and_nothing_else(
     def elsewhere(reach: Reach) -> bool:
         return not_ours(reach) or all(name.startswith((*FREE, "argocd/")) or "/" not in name for name in reach[:2])
 
-    found = {one for one in table(policies(rendered.objects), everybody) if not elsewhere(one)}
-    assert difference(found, {one for one in expected(means) if not elsewhere(one)}) == NOTHING
+    allowed = {one for one in table(policies(rendered.objects), everybody) if not elsewhere(one)}
+    assert difference(allowed, {one for one in expected(means) if not elsewhere(one)}) == NOTHING
 
 
 def test_argo_cd_that_comes_with_the_platform_does_what_the_table_says_on_any_cluster(
@@ -229,12 +229,12 @@ def test_argo_cd_that_comes_with_the_platform_does_what_the_table_says_on_any_cl
     means |= {"api-server": {"api-server"}, "name-service": {"kube-system/coredns"}, "clients": {"client"}}
     means |= {"metrics": {"monitoring/prometheus"}, "kubelets": {"kubelet"}}
     rules = [*policies(rendered.objects), *map(read_policy, argocd_network.policies("argocd", STATED))]
-    found, wanted = table(rules, everybody), expected(means)
+    allowed, wanted = table(rules, everybody), expected(means)
 
     def of_argo_cd(reach: Reach) -> bool:
         return any(name.startswith("argocd/") for name in reach[:2]) and not not_ours(reach)
 
-    assert difference(set(filter(of_argo_cd, found)), set(filter(of_argo_cd, wanted))) == NOTHING
+    assert difference(set(filter(of_argo_cd, allowed)), set(filter(of_argo_cd, wanted))) == NOTHING
 
 
 def test_argo_cd_where_nothing_is_stated_and_where_no_policies_are_wanted() -> None:

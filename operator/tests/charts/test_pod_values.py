@@ -58,8 +58,8 @@ def values_of(component: str, values: Object) -> Object:
 def seen(rendered: Any, key: str) -> dict[str, Any]:
     """What every workload's pod has where a value leads to."""
     workloads = rendered.of_kind("Deployment", "StatefulSet", "Job")
-    found = {f"{one['kind']}/{one['metadata']['name']}": part(one["spec"]["template"], key) for one in workloads}
-    return {KEY_JOB if name.startswith(f"{KEY_JOB}-") else name: value for name, value in found.items()}
+    parts = {f"{one['kind']}/{one['metadata']['name']}": part(one["spec"]["template"], key) for one in workloads}
+    return {KEY_JOB if name.startswith(f"{KEY_JOB}-") else name: value for name, value in parts.items()}
 
 
 def part(template: Object, key: str) -> Any:
@@ -88,16 +88,16 @@ def shaped(helm: Any) -> Callable[[str], Any]:
 def test_what_is_set_for_a_component_reaches_its_pods_alone(
     shaped: Callable[[str], Any], component: str, key: str
 ) -> None:
-    found = seen(shaped(component), key)
-    assert set(found) == EVERYBODY
+    parts = seen(shaped(component), key)
+    assert set(parts) == EVERYBODY
     own = {WORKLOADS[component], *([KEY_JOB] if component == "gate" else [])}
-    assert {name for name, value in found.items() if holds(value, GIVEN[key])} == own
+    assert {name for name, value in parts.items() if holds(value, GIVEN[key])} == own
 
 
 @pytest.mark.parametrize("key", EVERYWHERE)
 def test_what_is_set_for_the_chart_reaches_every_pod(helm: Any, key: str) -> None:
-    found = seen(helm.template(PLATFORM, PROFILE, **{key: EVERYWHERE[key]}), key)
-    assert {name for name, value in found.items() if holds(value, EVERYWHERE[key])} == EVERYBODY
+    parts = seen(helm.template(PLATFORM, PROFILE, **{key: EVERYWHERE[key]}), key)
+    assert {name for name, value in parts.items() if holds(value, EVERYWHERE[key])} == EVERYBODY
 
 
 def test_common_labels_are_on_every_object_and_in_no_selector(helm: Any) -> None:
@@ -111,9 +111,9 @@ def test_common_labels_are_on_every_object_and_in_no_selector(helm: Any) -> None
 @pytest.mark.parametrize("key", ["nodeSelector", "tolerations"])
 def test_a_component_without_a_place_of_its_own_has_the_platforms(helm: Any, key: str) -> None:
     whole: Any = {"nodeSelector": {"role": "platform"}, "tolerations": [{"operator": "Exists"}]}
-    found = seen(helm.template(PLATFORM, PROFILE, platform=whole, gate={key: GIVEN[key]}), key)
-    assert found.pop("Deployment/gate") == found.pop(KEY_JOB) == GIVEN[key]
-    assert all(value == whole[key] for value in found.values())
+    parts = seen(helm.template(PLATFORM, PROFILE, platform=whole, gate={key: GIVEN[key]}), key)
+    assert parts.pop("Deployment/gate") == parts.pop(KEY_JOB) == GIVEN[key]
+    assert all(value == whole[key] for value in parts.values())
 
 
 def test_what_is_set_to_nothing_changes_nothing(helm: Any) -> None:
@@ -140,9 +140,9 @@ def test_unknown_keys_of_pods_are_refused(helm: Any, component: str) -> None:
     ],
 )
 def test_labels_and_annotations_of_the_chart_are_its_own(helm: Any, values: Object, said: str) -> None:
-    found = helm.refusal(PLATFORM, PROFILE, **values)
-    assert said in found
-    assert "Use a key of your own, such as example.com/team." in found
+    refusal = helm.refusal(PLATFORM, PROFILE, **values)
+    assert said in refusal
+    assert "Use a key of your own, such as example.com/team." in refusal
 
 
 @pytest.mark.parametrize(

@@ -135,9 +135,9 @@ def certificate_of(rendered: Any, process: str) -> str | None:
 def mounts(rendered: Any, workload: str) -> set[str]:
     pod = dict(rendered.pods)[workload]
     [container] = pod["containers"]
-    found = {one["name"]: one["mountPath"] for one in container["volumeMounts"]}
-    assert found.keys() <= {one["name"] for one in pod["volumes"]}
-    return set(found.values())
+    paths = {one["name"]: one["mountPath"] for one in container["volumeMounts"]}
+    assert paths.keys() <= {one["name"] for one in pod["volumes"]}
+    return set(paths.values())
 
 
 def test_everybody_is_asked_by_https_and_has_a_certificate_for_that_name(encrypted: Any, mode: str) -> None:
@@ -192,9 +192,9 @@ def test_who_asks_knows_who_may_have_signed(encrypted: Any, mode: str) -> None:
 
 def test_the_processes_read_what_the_chart_writes(encrypted: Any, tmp_path: Path) -> None:
     for process, read in SERVING.items():
-        found: Any = read_settings(mounted(encrypted, process, tmp_path / process), read)
-        assert found.listen.certificate == tmp_path / process / "secrets" / "certificate"
-        assert (found.listen.certificate / "tls.key").is_file()
+        configuration: Any = read_settings(mounted(encrypted, process, tmp_path / process), read)
+        assert configuration.listen.certificate == tmp_path / process / "secrets" / "certificate"
+        assert (configuration.listen.certificate / "tls.key").is_file()
     north = read_settings(mounted(encrypted, "manager-north", tmp_path / "north"), manager.read_configuration)
     assert north.server_name == "manager-north.robotkube.svc.cluster.local"
     assert north.authorities == tmp_path / "north" / "authorities" / "ca.crt"
@@ -264,10 +264,10 @@ def test_in_clear_text_nothing_is_different(helm: Any, values: dict[str, Any]) -
 @pytest.mark.parametrize(("on", "former"), [(True, "http"), (False, "https")])
 def test_webhooks_that_would_speak_otherwise_are_taken_away(helm: Any, tmp_path: Path, on: bool, former: str) -> None:
     """Of before the value changed: the forge would go on calling them in vain."""
-    found = read_settings(mounted(rendered(helm, tls={"processes": on}), "bootstrap", tmp_path), read_bootstrap)
-    assert found.forge is not None
-    today = {(one.repository, one.url) for one in found.forge.setup.webhooks}
-    gone = {(one.repository, one.url) for one in found.forge.setup.former_webhooks}
+    configuration = read_settings(mounted(rendered(helm, tls={"processes": on}), "bootstrap", tmp_path), read_bootstrap)
+    assert configuration.forge is not None
+    today = {(one.repository, one.url) for one in configuration.forge.setup.webhooks}
+    gone = {(one.repository, one.url) for one in configuration.forge.setup.former_webhooks}
     assert not today & gone
     assert {(repository, url.replace("https:", "http:")) for repository, url in today} <= {
         (repository, url.replace("https:", "http:")) for repository, url in gone if url.startswith(f"{former}:")
@@ -275,15 +275,15 @@ def test_webhooks_that_would_speak_otherwise_are_taken_away(helm: Any, tmp_path:
 
 
 def test_the_process_that_keeps_certificates_may_write_the_gates_and_nothing_else_there(helm: Any) -> None:
-    found = rendered(helm)
-    rules = found.one("Role", "certificates", "robotkube-gate")["rules"]
+    rendering = rendered(helm)
+    rules = rendering.one("Role", "certificates", "robotkube-gate")["rules"]
     assert [(rule["resources"], rule["resourceNames"], rule["verbs"]) for rule in rules] == [
         (["configmaps"], ["robotkube-ca"], ["get", "patch"]),
         (["secrets"], ["gate-tls"], ["get", "patch"]),
     ]
     [secrets] = [
         rule["resourceNames"]
-        for rule in found.one("Role", "certificates", "robotkube")["rules"]
+        for rule in rendering.one("Role", "certificates", "robotkube")["rules"]
         if rule["resources"] == ["secrets"]
     ]
     named = {"tls-authority", "broker-tls", "database-tls", "forge-tls", *(f"{name}-tls" for name in SERVING)}
@@ -291,9 +291,9 @@ def test_the_process_that_keeps_certificates_may_write_the_gates_and_nothing_els
 
 
 def test_no_pod_mounts_the_key_of_another(helm: Any) -> None:
-    found = rendered(helm)
+    rendering = rendered(helm)
     for process in SERVING:
-        mounting = {name for name, pod in found.pods if f"'{process}-tls'" in str(pod["volumes"])}
+        mounting = {name for name, pod in rendering.pods if f"'{process}-tls'" in str(pod["volumes"])}
         assert mounting == {f"Deployment/{process}"}
 
 

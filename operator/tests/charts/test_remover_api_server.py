@@ -109,9 +109,9 @@ class Stage:
         inspections.write(look, status_of(look, inspections.status(look.name) or {}, time_text(STAMP())))
 
     def status(self, name: str) -> Object:
-        found = self.administrator.get(f"/apis/robotkube.io/v1alpha1/namespaces/robotkube/inspections/{name}")
-        assert found is not None
-        return dict(found["status"])
+        inspection = self.administrator.get(f"/apis/robotkube.io/v1alpha1/namespaces/robotkube/inspections/{name}")
+        assert inspection is not None
+        return dict(inspection["status"])
 
     def condition(self, name: str, kind: str = "Removed") -> tuple[str, str]:
         [one] = [c for c in self.status(name)["conditions"] if c["type"] == kind]

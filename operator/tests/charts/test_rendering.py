@@ -94,7 +94,7 @@ def made_keys(platform: Any) -> int:
 
 def test_every_pod_of_the_platform_runs_restricted(platform: Any) -> None:
     assert len(platform.pods) == 12 + len(OPTIONAL & set(dict(platform.pods))) + made_keys(platform)
-    assert {name: found for name, pod in platform.pods if (found := restricted_problems(pod))} == {}
+    assert {name: problems for name, pod in platform.pods if (problems := restricted_problems(pod))} == {}
 
 
 @pytest.mark.parametrize("chart", APP_CHARTS)
@@ -361,7 +361,9 @@ def test_every_secret_that_settings_name_is_mounted(platform: Any, process: str)
     mounted = set()
     namespace = GATE if process == "gate" else None
     projected = [volume["projected"] for volume in pod_of(platform, process)["volumes"] if "projected" in volume]
-    for source in (found["secret"] for one in projected for found in one["sources"] if "secret" in found):
+    for source in (
+        projection["secret"] for one in projected for projection in one["sources"] if "secret" in projection
+    ):
         if source["name"] not in KEY_SECRETS and {item["key"] for item in source["items"]} != set(CERTIFICATE):
             secret = platform.one("Secret", source["name"], namespace)
             made = set(CERTIFICATE) if is_account(source["name"]) else set()
@@ -375,14 +377,14 @@ def test_every_secret_that_settings_name_is_mounted(platform: Any, process: str)
 
 def test_secrets_are_files_but_where_a_program_takes_none(platform: Any) -> None:
     """A variable stands in what the process says of itself, and goes to the programs that it starts."""
-    found = {
+    variables = {
         (workload, variable["name"])
         for workload, pod in platform.pods
         for container in (*pod.get("initContainers", ()), *pod["containers"])
         for variable in container.get("env", ())
         if "secretKeyRef" in variable.get("valueFrom", {})
     }
-    assert found <= {("StatefulSet/database", f"FERRETDB_SETUP_{what}") for what in ("USERNAME", "PASSWORD")}
+    assert variables <= {("StatefulSet/database", f"FERRETDB_SETUP_{what}") for what in ("USERNAME", "PASSWORD")}
     containers = (one for _, pod in platform.pods for one in (*pod.get("initContainers", ()), *pod["containers"]))
     assert [one["name"] for one in containers if one.get("envFrom")] == []
 
@@ -456,11 +458,11 @@ def test_an_agent_gets_another_password_and_the_others_keep_theirs(helm: Any) ->
         agents = [{**agent, **(more if agent["name"] == "vehicle-00" else {})} for agent in agents]
         rendered = helm.template(PLATFORM, profile, agents=agents)
         lines = rendered.one("Secret", "broker-accounts")["stringData"]["passwords"].split()
-        found = dict(line.split(":") for line in lines)
+        hashes = dict(line.split(":") for line in lines)
         for agent in agents:
             own = rendered.one("Secret", "broker-account", agent["name"])["stringData"]["password"]
-            assert found[agent["name"]] == own
-        return found
+            assert hashes[agent["name"]] == own
+        return hashes
 
     before, same, after = accounts(), accounts(brokerPasswordNumber=0), accounts(brokerPasswordNumber=1)
     assert before == same
@@ -488,8 +490,8 @@ def test_without_a_seed_one_is_made_and_used_throughout(helm: Any) -> None:
 def test_a_node_that_is_named_is_selected_and_told_to_the_process(helm: Any, chart: str) -> None:
     profile = PROFILE.with_name(f"{chart}.yaml")
     placement = {"agent": "edge-0", "node": "edge-0-b", "movable": True}
-    found = helm.template(CHARTS / "apps" / chart, profile, release=chart, placement=placement)
-    (deployment,), (settings,) = found.of_kind("Deployment"), found.of_kind("ConfigMap")
+    rendering = helm.template(CHARTS / "apps" / chart, profile, release=chart, placement=placement)
+    (deployment,), (settings,) = rendering.of_kind("Deployment"), rendering.of_kind("ConfigMap")
     selector = deployment["spec"]["template"]["spec"]["nodeSelector"]
     assert selector == {"robotkube.io/agent": "edge-0", "kubernetes.io/hostname": "edge-0-b"}
     assert {key: settings["data"][key] for key in ("node", "movable")} == {"node": "edge-0-b", "movable": "true"}

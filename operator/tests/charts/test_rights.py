@@ -200,12 +200,12 @@ GATE, KEY = "robotkube-gate", "gate-key"
 @pytest.fixture(scope="module")
 def installed(tmp_path_factory: pytest.TempPathFactory, argocd: list[dict[str, Any]]) -> Iterator[Cluster]:
     """Argo CD as in the embedded cluster, two managers with disjoint scopes, and admission by a process."""
-    with prepared_cluster(tmp_path_factory.mktemp("api")) as found:
+    with prepared_cluster(tmp_path_factory.mktemp("api")) as prepared:
         manifests = yaml.dump_all([o for o in argocd if o["kind"] != "CustomResourceDefinition"])
-        found.kubectl("apply", "--server-side", "-n", "argocd", "-f", "-", text=manifests)
+        prepared.kubectl("apply", "--server-side", "-n", "argocd", "-f", "-", text=manifests)
         files = [option for name in INSTALLED for option in ("-f", str(PROFILES / f"{name}.yaml"))]
-        found.helm("install", "robotkube", str(CHART), *files, "--no-hooks")
-        yield found
+        prepared.helm("install", "robotkube", str(CHART), *files, "--no-hooks")
+        yield prepared
 
 
 @pytest.fixture(scope="module")
@@ -227,12 +227,12 @@ def rights(asking: httpx.Client, namespace: str, account: str) -> Rights:
     user = {"Impersonate-User": f"system:serviceaccount:{account}"}
     answer = review(asking, "SelfSubjectRulesReview", {"namespace": namespace}, **user)
     assert not answer["incomplete"]
-    found: dict[str, set[str]] = {}
+    verbs_of: dict[str, set[str]] = {}
     for rule in answer["resourceRules"]:
         kinds = [f"{kind}.{group}".strip(".") for group in rule["apiGroups"] for kind in rule["resources"]]
         for key in [f"{kind} {name}".strip() for kind in kinds for name in rule.get("resourceNames") or [""]]:
-            found.setdefault(key, set()).update(rule["verbs"])
-    return {key: " ".join(sorted(verbs)) for key, verbs in found.items()}
+            verbs_of.setdefault(key, set()).update(rule["verbs"])
+    return {key: " ".join(sorted(verbs)) for key, verbs in verbs_of.items()}
 
 
 @pytest.fixture(scope="module")
@@ -243,13 +243,13 @@ def everybody(asking: httpx.Client) -> Rights:
 
 @pytest.mark.parametrize("account", EXACTLY)
 def test_an_account_may_do_exactly_this(asking: httpx.Client, everybody: Rights, account: str) -> None:
-    expected, found = {}, {}
+    expected, allowed = {}, {}
     for namespace in NAMESPACES:
         wanted = {**EXACTLY[account].get("*", {}), **EXACTLY[account].get(namespace, {})}
         said = rights(asking, namespace, account)
         expected[namespace] = wanted
-        found[namespace] = {key: verbs for key, verbs in said.items() if everybody.get(key) != verbs}
-    assert found == expected
+        allowed[namespace] = {key: verbs for key, verbs in said.items() if everybody.get(key) != verbs}
+    assert allowed == expected
 
 
 def test_the_console_writes_tasks_as_a_listed_group_alone(installed: Cluster, tmp_path: Path) -> None:

@@ -78,16 +78,16 @@ def prepared_forge(rendered: Any, forge: ForgeProcess, folder: Path, webhook: st
 
 def settings_of(rendered: Any, forge: ForgeProcess, port: int, broker: int, folder: Path) -> Path:
     """The chart's settings, with the places of these tests and the broker's password."""
-    found = mounted(rendered, "rights", folder)
-    document = yaml.safe_load(found.read_text())
+    path = mounted(rendered, "rights", folder)
+    document = yaml.safe_load(path.read_text())
     document["forge"]["url"] = forge.url
     document["listen"] = {"address": "127.0.0.1", "port": port}
     document["broker"] |= {"host": "127.0.0.1", "port": broker}
     for clear_text in ("forge", "broker"):
         del document[clear_text]["authorities"]
     (folder / "secrets" / "broker" / "password").write_text(password("rights"))
-    found.write_text(yaml.safe_dump(document))
-    return found
+    path.write_text(yaml.safe_dump(document))
+    return path
 
 
 @pytest.fixture(scope="module")

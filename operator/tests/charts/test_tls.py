@@ -36,14 +36,14 @@ def names(rendered: Any) -> set[str]:
 def ports(rendered: Any) -> list[int]:
     """Where the broker listens: the same in its settings, its pod and its Service."""
     text = rendered.one("ConfigMap", "broker")["data"]["mosquitto.conf"]
-    found = [int(line.split()[1]) for line in text.splitlines() if line.startswith("listener ")]
+    numbers = [int(line.split()[1]) for line in text.splitlines() if line.startswith("listener ")]
     [container] = dict(rendered.pods)["Deployment/broker"]["containers"]
-    assert [port["containerPort"] for port in container["ports"]] == found
-    assert [port["port"] for port in rendered.one("Service", "broker")["spec"]["ports"]] == found
+    assert [port["containerPort"] for port in container["ports"]] == numbers
+    assert [port["port"] for port in rendered.one("Service", "broker")["spec"]["ports"]] == numbers
     assert {container[probe]["tcpSocket"]["port"] for probe in container if probe.endswith("Probe")} == {
         container["ports"][0]["name"]
     }
-    return found
+    return numbers
 
 
 def accounts(rendered: Any) -> set[tuple[str, str]]:
@@ -85,14 +85,14 @@ def trusted(rendered: Any) -> set[str]:
     """What stands in ConfigMap robotkube-ca of platform and agents, and of the gate where it asks a forge by TLS."""
     by_tls = forge_url(rendered).startswith("https:")
     places = ["robotkube", *(["robotkube-gate"] if by_tls else []), *AGENTS]
-    found = [rendered.one("ConfigMap", "robotkube-ca", place) for place in places]
-    return {one.get("data", {}).get("ca.crt", "") for one in found}
+    bundles = [rendered.one("ConfigMap", "robotkube-ca", place) for place in places]
+    return {one.get("data", {}).get("ca.crt", "") for one in bundles}
 
 
 def forge_url(rendered: Any) -> str:
     """The forge's URL: the same in the settings of everybody who asks it, each of which names and mounts who may have
     signed its certificate exactly when it speaks TLS."""
-    found = set()
+    urls = set()
     there = {one["metadata"]["name"] for one in rendered.of_kind("ConfigMap")}  # no `rights` at somebody else's broker
     for process in ASKING & there:
         namespace = "robotkube-gate" if process == "gate" else None
@@ -102,8 +102,8 @@ def forge_url(rendered: Any) -> str:
         kind = "Job" if process == "bootstrap" else "Deployment"
         mounts = dict(rendered.pods)[f"{kind}/{process}"]["containers"][0]["volumeMounts"]
         assert not encrypted or AUTHORITIES in {mount["mountPath"] for mount in mounts}, process
-        found.add(settings["url"])
-    [url] = found
+        urls.add(settings["url"])
+    [url] = urls
     return str(url)
 
 

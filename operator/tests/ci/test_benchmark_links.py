@@ -54,8 +54,8 @@ def test_a_link_has_its_bridges_periods_and_the_machines_minutes(
 def test_rights_have_a_second_or_what_the_forge_leaves(
     record: Path, monkeypatch: pytest.MonkeyPatch, applied: float, announced: float, own: float, passed: list[bool]
 ) -> None:
-    found = {"applied": [applied], "ended": [applied], "announced": [announced], "own": [own]}
-    monkeypatch.setattr(rights, "measure", lambda: found)
+    seconds = {"applied": [applied], "ended": [applied], "announced": [announced], "own": [own]}
+    monkeypatch.setattr(rights, "measure", lambda: seconds)
     assert [one.passed for one in rights.compare()] == passed
     written = json.loads(record.read_text())
     assert {name: values["p95"] for name, values in written.items()} == {

@@ -109,8 +109,8 @@ def test_the_first_publication_has_its_goal_and_a_slow_machine_more() -> None:
 
 
 def test_it_is_measured_on_a_cluster_of_its_own_and_recorded(world: BenchmarkStage) -> None:
-    [found] = compare()
-    assert (found.name, found.ours, found.unit) == ("publish 2 charts, every suite run", 90.0, "s")
+    [difference] = compare()
+    assert (difference.name, difference.ours, difference.unit) == ("publish 2 charts, every suite run", 90.0, "s")
     assert world.done == ["up test {'vehicles': '3'} platform", *["publish by kubeconfig"] * 3, "down test"]
     [kept] = set(world.kept)
     assert kept is not None

@@ -30,9 +30,9 @@ SECONDS_MAX = 60
 def job(document: Mapping[str, Any]) -> tuple[list[str], dict[str, str]]:
     """The shell lines of the one job, without those that install something, and its environment."""
     jobs = document.get("jobs") or {name: value for name, value in document.items() if "script" in value}
-    (found,) = jobs.values()
-    lines = [step["run"] for step in found["steps"] if "run" in step] if "steps" in found else found["script"]
-    return [line for line in lines if not INSTALLING.match(line)], dict(found.get("env", {}))
+    (single,) = jobs.values()
+    lines = [step["run"] for step in single["steps"] if "run" in step] if "steps" in single else single["script"]
+    return [line for line in lines if not INSTALLING.match(line)], dict(single.get("env", {}))
 
 
 def installed(folder: Path) -> str:

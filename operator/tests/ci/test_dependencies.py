@@ -113,7 +113,7 @@ def undeclared(names: frozenset[str], known: frozenset[str], own: frozenset[str]
     """Package that is imported and comes from elsewhere -> the distributions of which none is in `known`."""
     tops = {name.partition(".")[0] for name in names} - set(sys.stdlib_module_names) - own
     sources = {top: [*map(distribution, homes().get(top, [])), f"ros-jazzy-{top.replace('_', '-')}"] for top in tops}
-    return {top: found for top, found in sorted(sources.items()) if not known.intersection(found)}
+    return {top: files for top, files in sorted(sources.items()) if not known.intersection(files)}
 
 
 def own_packages() -> frozenset[str]:

@@ -36,8 +36,8 @@ def test_what_came_goes_and_what_changed_is_as_before() -> None:
         "deployment/d": {"spec": {"template": {"metadata": {"annotations": {"hook": "f"}}}}},
         "deployment/same": {"spec": {"x": 1}},
     }
-    found = patches(before, now)
-    assert found["deployment/same"] == {}
-    assert found["deployment/d"] == {"spec": {"template": {"metadata": {"annotations": {"hook": None}}}}}
+    undone = patches(before, now)
+    assert undone["deployment/same"] == {}
+    assert undone["deployment/d"] == {"spec": {"template": {"metadata": {"annotations": {"hook": None}}}}}
     for name in ("configmap/a", "secret/s", "appproject/default"):
-        assert patched(now[name], found[name]) == before[name], name
+        assert patched(now[name], undone[name]) == before[name], name

@@ -29,10 +29,10 @@ def volume(name: str, agent: str, node: str = "", phase: str = "Available", **sp
 
 
 def chosen(claims: list[dict[str, Any]], volumes: list[dict[str, Any]]) -> dict[str, str]:
-    found = chosen_volumes(claims, volumes)
+    bound = chosen_volumes(claims, volumes)
     return {
         one["metadata"]["name"]: f"{one['spec']['claimRef']['namespace']}/{one['spec']['claimRef']['name']}"
-        for one in found
+        for one in bound
     }
 
 

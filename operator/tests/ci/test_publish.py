@@ -111,10 +111,10 @@ def access(installation: Installation) -> publish.PublishingAccounts:
 @pytest.fixture
 def publishing(installation: Installation, tmp_path: Path) -> Iterator[Publishing]:
     """A gate that publishes, as that of the embedded cluster: local builds may replace each other."""
-    found = Publishing(installation, tmp_path / "gate", local_builds=True)
-    found.start()
-    yield found
-    found.stop()
+    stage = Publishing(installation, tmp_path / "gate", local_builds=True)
+    stage.start()
+    yield stage
+    stage.stop()
 
 
 def test_what_was_built_is_published_once_and_its_evidence_kept(
@@ -153,9 +153,9 @@ def test_more_charts_come_with_what_they_replace_and_the_applications_they_run(
     assert names == {"object-detection 0.2.3", "object-tracking 0.1.2", "object-tracking 0.2.3"}
     assert "object-detection 0.1.2" in newer.outcome.unchanged
     assert "applications/environment-perception.yaml" in newer.outcome.applications
-    found = read_catalogue({path: text for path, text in publishing.main().items() if path.startswith(FOLDERS)})
-    assert [v.version for v in found.charts["object-detection"] if v.state == "verified"] == ["0.1.2", "0.2.3"]
-    assert found.problems == ()
+    catalogue = read_catalogue({path: text for path, text in publishing.main().items() if path.startswith(FOLDERS)})
+    assert [v.version for v in catalogue.charts["object-detection"] if v.state == "verified"] == ["0.1.2", "0.2.3"]
+    assert catalogue.problems == ()
 
 
 def test_a_chart_that_is_not_there_is_named(access: publish.PublishingAccounts, tmp_path: Path) -> None:
@@ -174,10 +174,10 @@ def test_another_image_gives_other_charts_and_the_old_ones_stay(
         for chart in (chart for one in published for chart in one.outcome.charts):  # what runs stays there
             repository, tag = f"verified/{chart.artefact.chart}", build_tag(chart.artefact.version, chart.digest)
             assert registry.manifest_digest(repository, tag) == chart.digest
-    found = read_catalogue({path: text for path, text in publishing.main().items() if path.startswith(FOLDERS)})
-    assert found.assurance == "verified"
+    catalogue = read_catalogue({path: text for path, text in publishing.main().items() if path.startswith(FOLDERS)})
+    assert catalogue.assurance == "verified"
     for chart in published[1].outcome.charts:
-        version = next(v for v in found.charts[chart.artefact.chart] if v.version == chart.artefact.version)
+        version = next(v for v in catalogue.charts[chart.artefact.chart] if v.version == chart.artefact.version)
         assert (version.state, version.digest) == ("verified", chart.digest)
 
 

@@ -32,19 +32,19 @@ CONFIG_MAPS = "/api/v1/namespaces/robotkube/configmaps"
 @pytest.fixture(scope="module")
 def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
     """A platform without admission, with an agent, and Argo CD by a tag as its own manifests have it."""
-    with judged_api_server(tmp_path_factory.mktemp("api"), None) as (found, _):
+    with judged_api_server(tmp_path_factory.mktemp("api"), None) as (server, _):
         gate = {"app.kubernetes.io/part-of": "robotkube", "app.kubernetes.io/component": "gate"}
         agent = {"robotkube.io/agent": "vehicle-00"}
         for name, labels in (("robotkube", {}), ("signing", gate), ("argocd", {}), ("vehicle-00", agent)):
-            found.done("POST", "/api/v1/namespaces", {"metadata": {"name": name, "labels": labels}})
+            server.done("POST", "/api/v1/namespaces", {"metadata": {"name": name, "labels": labels}})
         images = {"images.yaml": write_mapping({"platform": image(2), "ros": image(4), "mongo": "mongo:8"})}
-        found.done("POST", CONFIG_MAPS, {"metadata": {"name": "platform-images"}, "data": images})
+        server.done("POST", CONFIG_MAPS, {"metadata": {"name": "platform-images"}, "data": images})
         head = {"apiVersion": "argoproj.io/v1alpha1", "kind": "AppProject", "metadata": {"name": "robotkube-apps"}}
-        found.done("POST", PROJECTS, {**head, "spec": {"sourceRepos": [f"{CHARTS}/*"]}})
-        found.done("POST", path("Deployment", "robotkube"), workload("Deployment", image(2)))
-        found.done("POST", path("Deployment", "argocd"), workload("Deployment", "quay.io/argoproj/argocd:v3"))
-        found.done("POST", path("Deployment", "vehicle-00"), workload("Deployment", image(1)))
-        yield found
+        server.done("POST", PROJECTS, {**head, "spec": {"sourceRepos": [f"{CHARTS}/*"]}})
+        server.done("POST", path("Deployment", "robotkube"), workload("Deployment", image(2)))
+        server.done("POST", path("Deployment", "argocd"), workload("Deployment", "quay.io/argoproj/argocd:v3"))
+        server.done("POST", path("Deployment", "vehicle-00"), workload("Deployment", image(1)))
+        yield server
 
 
 @pytest.fixture

@@ -125,9 +125,9 @@ def test_an_agent_has_an_account_and_what_its_nodes_say(repository: Repository) 
     ]
     said = OfMain(revocations(GitHistory(repository.folder).commits({})), {})
     ends = Ends(certificates={"vehicle-01": 1_795_651_200.0})
-    found = rows(ACCOUNTS.agents, said, nodes, leases, ends)
-    assert [row["agent"] for row in found] == ["cloud-0", "roadside-0", "vehicle-00", "vehicle-01"]
-    vehicle, other = found[2], found[3]
+    agents = rows(ACCOUNTS.agents, said, nodes, leases, ends)
+    assert [row["agent"] for row in agents] == ["cloud-0", "roadside-0", "vehicle-00", "vehicle-01"]
+    vehicle, other = agents[2], agents[3]
     assert vehicle == {
         **{"agent": "vehicle-00", "role": "vehicle", "namespace": "vehicle-00", "account": "revoked"},
         **{"declared": "values", "reason": "its computer was stolen", "by": "manager", "commit": commit},
@@ -142,8 +142,8 @@ def test_agents_that_share_a_node_count_it_each_and_that_is_said() -> None:
     shared = node("worker", "vehicle-00", "True")
     shared["metadata"]["labels"]["agent.robotkube.io/vehicle-01"] = "1"
     nodes = [shared, node("cloud-0", "cloud-0", "True")]
-    found = rows(ACCOUNTS.agents, OfMain({}, {}), nodes, [lease("worker", "2026-11-26T10:00:09.000000Z")], Ends())
-    counted = {row["agent"]: (row["nodes"], row["ready"], row["seen"]) for row in found}
+    agents = rows(ACCOUNTS.agents, OfMain({}, {}), nodes, [lease("worker", "2026-11-26T10:00:09.000000Z")], Ends())
+    counted = {row["agent"]: (row["nodes"], row["ready"], row["seen"]) for row in agents}
     assert counted["vehicle-00"] == counted["vehicle-01"] == (1, 1, "2026-11-26T10:00:09Z")
     trial = "no machine keeps them apart, and no figure compares machines"
     assert shared_rows(nodes) == [{"node": "worker", "agents": ["vehicle-00", "vehicle-01"], "trial": trial}]
@@ -160,13 +160,13 @@ def test_an_enrolled_agent_has_the_role_and_the_commit_of_main(repository: Repos
     repository.merge("later", bridge("vehicle-16", POSE_01), **enrolled)
     commits = GitHistory(repository.folder).commits({})
     said = OfMain({}, enrollments(commits), {"vehicle-16": ["mqtt-bridge 0.2.0"]})
-    found = {row["agent"]: row for row in rows(RESERVED, said, [], [], Ends({"edge-9": "2026-11-27T01:00:00Z"}))}
-    assert found["vehicle-16"] == {
+    by_agent = {row["agent"]: row for row in rows(RESERVED, said, [], [], Ends({"edge-9": "2026-11-27T01:00:00Z"}))}
+    assert by_agent["vehicle-16"] == {
         **{"agent": "vehicle-16", "role": "vehicle", "namespace": "vehicle-16", "declared": "main"},
         **{"account": "open", "reason": "", "by": "manager", "commit": commit, "nodes": 0, "ready": 0, "seen": ""},
         **{"kubelet": [], "releases": ["mqtt-bridge 0.2.0"], "certificate_until": "", "join_until": ""},
     }
-    reserved = found["edge-9"]
+    reserved = by_agent["edge-9"]
     assert (reserved["role"], reserved["declared"], reserved["account"]) == ("", "values", "reserved")
     assert reserved["join_until"] == "2026-11-27T01:00:00Z"
     repository.merge("broken", **{AGENTS_PATH: "agents: none"})
@@ -256,6 +256,6 @@ def test_agents_of_a_cluster(manager_api: Api, repository: Repository, capsys: p
         )
     finally:
         manager_api.delete(f"{where}/rights")
-    found = {row["agent"]: row for row in json.loads(out)["agents"]}
-    assert (found["vehicle-00"]["account"], found["vehicle-01"]["account"]) == ("revoked", "open")
-    assert (found["cloud-0"]["nodes"], found["cloud-0"]["ready"], found["roadside-0"]["nodes"]) == (1, 1, 0)
+    by_agent = {row["agent"]: row for row in json.loads(out)["agents"]}
+    assert (by_agent["vehicle-00"]["account"], by_agent["vehicle-01"]["account"]) == ("revoked", "open")
+    assert (by_agent["cloud-0"]["nodes"], by_agent["cloud-0"]["ready"], by_agent["roadside-0"]["nodes"]) == (1, 1, 0)

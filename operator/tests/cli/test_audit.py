@@ -136,8 +136,8 @@ def test_json_is_the_document(line: Line, saved: Platform) -> None:
     ],
 )
 def test_wrong_usage_ends_with_2(line: Line, words: list[str], code: int, expected: str) -> None:
-    found = line.run(*words, *line.keys, *line.offline)
-    assert (found[0], expected in found[2]) == (code, True), found[2]
+    outcome = line.run(*words, *line.keys, *line.offline)
+    assert (outcome[0], expected in outcome[2]) == (code, True), outcome[2]
 
 
 def test_keys_are_asked_for(line: Line) -> None:

@@ -55,15 +55,15 @@ class Line:
         self.kubeconfig.write_text(yaml.safe_dump({"apiVersion": "v1", "current-context": "c", **access}))
 
     def _applications(self) -> list[Mapping[str, Any]]:
-        found = []
+        applications = []
         for release in self.stage.releases().values():
             name = application_name(release.namespace, release.name)
             metadata = {"name": name, "annotations": {"robotkube.io/plan": release.plan}}
             source = {"repoURL": f"oci://x/{release.chart}", "helm": {"releaseName": release.name}}
             spec = {"destination": {"namespace": release.namespace}, "source": source}
             status = {"sync": {"status": "Synced"}, "health": {"status": "Healthy"}}
-            found.append({"metadata": metadata, "spec": spec, "status": status})
-        return found
+            applications.append({"metadata": metadata, "spec": spec, "status": status})
+        return applications
 
     def _pods(self) -> list[Mapping[str, Any]]:
         labels = {"app.kubernetes.io/instance": RECORDER.partition("/")[2]}
@@ -79,9 +79,9 @@ class Line:
 
 @pytest.fixture
 def line(stage: Stage, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Iterator[Line]:
-    found = Line(stage, tmp_path, capsys)
-    yield found
-    found.server.stop()
+    stage_line = Line(stage, tmp_path, capsys)
+    yield stage_line
+    stage_line.server.stop()
 
 
 def test_explaining_a_task_that_is_there(line: Line) -> None:
@@ -135,11 +135,11 @@ def test_explaining_needs_one_subject(line: Line) -> None:
 
 def test_releases_with_their_demands_and_nodes(line: Line) -> None:
     code, out, _ = line.run("release", "list", "--output", "json")
-    found = {row["release"]: row for row in json.loads(out)["releases"]}
-    assert (code, found[RECORDER]["demands"], found[RECORDER]["nodes"]) == (0, [line.key], ["cloud-0"])
-    assert line.key in found["vehicle-00/mqtt-bridge"]["demands"]
-    assert found["cloud-0/event-detector"]["demands"] == []
-    assert found[RECORDER]["update"] == ""
+    by_release = {row["release"]: row for row in json.loads(out)["releases"]}
+    assert (code, by_release[RECORDER]["demands"], by_release[RECORDER]["nodes"]) == (0, [line.key], ["cloud-0"])
+    assert line.key in by_release["vehicle-00/mqtt-bridge"]["demands"]
+    assert by_release["cloud-0/event-detector"]["demands"] == []
+    assert by_release[RECORDER]["update"] == ""
 
 
 def test_releases_that_an_update_is_not_through_with(line: Line) -> None:

@@ -21,25 +21,25 @@ def _inspection(look: Look) -> dict[str, Any]:
 
 
 def test_all_is_as_it_should_be() -> None:
-    found = seen([_inspection(Look("kubelet", node="a")), _inspection(Look("releases"))], NOW)
-    assert (found.problem, found.blind, found.looked) == ("", "", 2)
-    assert found.text == "no strangers in 2 places that were looked at\n"
+    shown = seen([_inspection(Look("kubelet", node="a")), _inspection(Look("releases"))], NOW)
+    assert (shown.problem, shown.blind, shown.looked) == ("", "", 2)
+    assert shown.text == "no strangers in 2 places that were looked at\n"
 
 
 def test_strangers_are_named() -> None:
-    found = seen([_inspection(Look("kubelet", (MINER,), "a"))], NOW)
-    assert "1 stranger runs: Container vehicle-00/x/miner (ForeignContainer) (kubectl describe" in found.problem
+    shown = seen([_inspection(Look("kubelet", (MINER,), "a"))], NOW)
+    assert "1 stranger runs: Container vehicle-00/x/miner (ForeignContainer) (kubectl describe" in shown.problem
     many = tuple(Stranger("Pod", "vehicle-00", f"p{number:02}", "NoRelease", "…") for number in range(60))
-    found = seen([_inspection(Look("kubelet", many, "a"))], NOW)
-    assert found.problem.startswith("60 strangers run: Pod vehicle-00/p00 (NoRelease), ")
-    assert "and 55 more" in found.problem
+    shown = seen([_inspection(Look("kubelet", many, "a"))], NOW)
+    assert shown.problem.startswith("60 strangers run: Pod vehicle-00/p00 (NoRelease), ")
+    assert "and 55 more" in shown.problem
 
 
 def test_what_could_not_be_looked_at_is_named() -> None:
     silent = _inspection(Look("kubelet", node="a", problem="kubelet of node a: timed out"))
-    found = seen([silent, _inspection(Look("kubelet", node="b"))], NOW)
-    assert found.blind == "not looked at: kubelet.a (kubelet of node a: timed out)"
-    assert "no strangers in 1 places" in found.text
+    shown = seen([silent, _inspection(Look("kubelet", node="b"))], NOW)
+    assert shown.blind == "not looked at: kubelet.a (kubelet of node a: timed out)"
+    assert "no strangers in 1 places" in shown.text
     stale = seen([_inspection(Look("kubelet", node="b"))], NOW + 30 * 10**9)
     assert "kubelet.b (the last look was 50 s ago: is what looks running?)" in stale.blind
     assert not seen([_inspection(Look("kubelet", node="b"))], NOW + 20 * 10**9).blind
@@ -59,11 +59,11 @@ def test_an_inspector_that_is_not_ready_is_named() -> None:
 
 
 def test_programs_get_one_document() -> None:
-    found = seen([_inspection(Look("kubelet", (MINER,), "a"))], NOW)
+    shown = seen([_inspection(Look("kubelet", (MINER,), "a"))], NOW)
     stream = io.StringIO()
-    write(Table("unchecked", ("commit",), (), more=found.tables), "table", stream)
+    write(Table("unchecked", ("commit",), (), more=shown.tables), "table", stream)
     assert [line.split()[0] for line in stream.getvalue().splitlines()] == ["KIND", "Container"]
     stream = io.StringIO()
-    write(Table("unchecked", ("commit",), (), more=found.tables), "json", stream)
+    write(Table("unchecked", ("commit",), (), more=shown.tables), "json", stream)
     assert '"strangers": [\n' in stream.getvalue()
     assert '"unseen": []' in stream.getvalue()

@@ -116,8 +116,8 @@ def test_wrong_input_ends_before_anything_is_read(
 
 def test_what_people_read() -> None:
     problem = Problem("no Node has the label", "agent vehicle-00", "nothing runs", "kubectl label node")
-    found = [ClusterFinding("version", OK, "v1.36.3"), ClusterFinding("agents", FAILED, "1 agent", (problem,))]
-    table = shown([*found, ClusterFinding("capacity", NOT_CHECKED, "nodes is forbidden")])
+    judged = [ClusterFinding("version", OK, "v1.36.3"), ClusterFinding("agents", FAILED, "1 agent", (problem,))]
+    table = shown([*judged, ClusterFinding("capacity", NOT_CHECKED, "nodes is forbidden")])
     assert table.text == (
         "ok           version   v1.36.3\n"
         "failed       agents    1 agent\n"

@@ -62,8 +62,8 @@ def written(tmp_path: Path) -> Written:
 
 
 def problems(registry: Path) -> list[str]:
-    found = source_problems(read_sources(registry, registry.parent / "charts" / "apps"))
-    return [str(problem).removeprefix(f"{registry}/") for problem in found]
+    gathered = source_problems(read_sources(registry, registry.parent / "charts" / "apps"))
+    return [str(problem).removeprefix(f"{registry}/") for problem in gathered]
 
 
 ROS = {"kind": "ros", "from": {"service": "one"}, "to": {"service": "two"}}

@@ -81,8 +81,8 @@ def test_submitting(line: Line, api: Api, tmp_path: Path, monkeypatch: pytest.Mo
     not_asked, changed = line.run(*words, "--policy", "Preempt")[2].splitlines()
     assert changed == "changed: cloud-0/from-file"
     assert not_asked.startswith("the manager was not asked first: ")
-    found = json.loads(line.run("task", "show", "cloud-0/from-file", "--output", "json")[1])["spec"]
-    assert (found["parameters"], found["priority"], found["conflictPolicy"]) == (
+    spec = json.loads(line.run("task", "show", "cloud-0/from-file", "--output", "json")[1])["spec"]
+    assert (spec["parameters"], spec["priority"], spec["conflictPolicy"]) == (
         {"vehicles": ["vehicle-01"]},
         7,
         "Preempt",
@@ -156,10 +156,10 @@ def test_watching(line: Line, api: Api, monkeypatch: pytest.MonkeyPatch) -> None
 
     monkeypatch.setattr(watch, "write_change", write_and_withdraw)
     code, out, _ = line.run("task", "watch", "cloud-0/watched", "--seconds", "20", "--output", "json")
-    found = [json.loads(text) for text in out.splitlines()]
-    assert (code, [row["condition"] for row in found]) == (0, ["Submitted", "Accepted", "Withdrawn"])
-    assert (found[1]["status"], found[1]["reason"], found[1]["message"]) == ("True", "Accepted", "yes")
-    assert found[2]["time"] > "2026-11-21T10:00:00Z"
+    changes = [json.loads(text) for text in out.splitlines()]
+    assert (code, [row["condition"] for row in changes]) == (0, ["Submitted", "Accepted", "Withdrawn"])
+    assert (changes[1]["status"], changes[1]["reason"], changes[1]["message"]) == ("True", "Accepted", "yes")
+    assert changes[2]["time"] > "2026-11-21T10:00:00Z"
 
 
 def test_a_watch_of_what_is_not_there_or_does_not_answer_ends_as_the_table_says(
@@ -239,8 +239,8 @@ def test_releases_without_any(line: Line) -> None:
     ],
 )
 def test_wrong_usage(line: Line, words: tuple[str, ...], code: int, text: str) -> None:
-    found, out, err = line.run(*words)
-    assert (found, out) == (code, "")
+    ended, out, err = line.run(*words)
+    assert (ended, out) == (code, "")
     assert text in err
 
 

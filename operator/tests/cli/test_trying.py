@@ -49,12 +49,12 @@ def rows(out: str) -> dict[str, dict[str, Any]]:
 
 
 def test_what_a_passed_check_has_not_shown_is_said() -> None:
-    found = "it opened the topics of two, and its pod stayed; not shown: values.greeting"
-    checks = (Check("stays", True, "as before"), Check("takes-changed-settings", True, found))
+    evidence = "it opened the topics of two, and its pod stayed; not shown: values.greeting"
+    checks = (Check("stays", True, "as before"), Check("takes-changed-settings", True, evidence))
     result = SuiteResult("install", "3", "passed", checks, 2.0)
     table = _table([TriedSuite("order", "0.1.0", "install", result)], [], [])
-    assert f"\n\ninstall of order, takes-changed-settings: {found}\n" in str(table.text)
-    assert [row.get("reservations") for row in table.rows] == [[{"name": "takes-changed-settings", "found": found}]]
+    assert f"\n\ninstall of order, takes-changed-settings: {evidence}\n" in str(table.text)
+    assert [row.get("reservations") for row in table.rows] == [[{"name": "takes-changed-settings", "found": evidence}]]
 
 
 @pytest.mark.parametrize("words", [(), ("--quick",)])

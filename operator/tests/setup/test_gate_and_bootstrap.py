@@ -74,10 +74,10 @@ def test_the_gate_process_takes_a_proposal_and_ends_when_asked(
     finally:
         process.kill()
         process.wait(PROCESS_SECONDS_MAX)
-    found = next(line for line in lines((tmp_path / "log").read_text()) if line["event"] == "proposal")
-    assert found["verdict"] == "accepted"
-    assert found["commit"] == commit[:12]
-    assert found["subject"] == "deploy(recording): test"
+    event = next(line for line in lines((tmp_path / "log").read_text()) if line["event"] == "proposal")
+    assert event["verdict"] == "accepted"
+    assert event["commit"] == commit[:12]
+    assert event["subject"] == "deploy(recording): test"
 
 
 def test_every_problem_of_the_gates_settings_is_named(installation: Installation, tmp_path: Path) -> None:
@@ -293,9 +293,9 @@ def test_the_bootstrap_says_what_is_wrong(world: BootstrapStage, tmp_path: Path)
     settings["forge"]["repositories"][0]["access"]["manager"] = "admin"
     settings["forge"]["organisations"][0]["packages"] = {"manager": "pulls"}
     settings["wait_seconds"] = 0
-    code, found = run_bootstrap(world, tmp_path, settings)
+    code, said = run_bootstrap(world, tmp_path, settings)
     assert code == 2
-    text = found[-1]["error"]
+    text = said[-1]["error"]
     access = ("access.manager: must be pulls, read or write", "packages.manager: must be read or write")
     for part in ("database.kind: must be one of", "repositories[0].seed", *access):
         assert part in text
@@ -307,6 +307,6 @@ def test_the_bootstrap_ends_when_argocd_never_comes(world: BootstrapStage, tmp_p
     del settings["forge"], settings["database"]
     settings["argocd"]["namespace"] = "elsewhere"
     settings["wait_seconds"] = 2
-    code, found = run_bootstrap(world, tmp_path, settings)
+    code, said = run_bootstrap(world, tmp_path, settings)
     assert code in (2, 3)
-    assert "Secret argocd-secret in namespace elsewhere" in found[-1]["error"]
+    assert "Secret argocd-secret in namespace elsewhere" in said[-1]["error"]

@@ -187,9 +187,9 @@ def test_key_pairs_of_files(tmp_path: Path) -> None:
 def test_settings_name_every_problem(tmp_path: Path) -> None:
     path = tmp_path / "config.yaml"
     path.write_text(SETTINGS)
-    found = read_settings(path, read_configuration)
-    assert (found.namespace, found.secret, found.public_keys) == (GATE, "gate-key", "gate-public-key")
-    assert found.namespaces == (GATE, PLATFORM)
+    settings = read_settings(path, read_configuration)
+    assert (settings.namespace, settings.secret, settings.public_keys) == (GATE, "gate-key", "gate-public-key")
+    assert settings.namespaces == (GATE, PLATFORM)
     path.write_text(SETTINGS.replace("[robotkube-gate, robotkube]", "[]").replace("info", "loud"))
     with pytest.raises(DocumentError) as refusal:
         read_settings(path, read_configuration)

@@ -152,9 +152,9 @@ def test_the_gate_process_publishes_what_the_command_submits(
         return [line for line in lines((tmp_path / "log").read_text()) if line["event"] == "submission"]
 
     until(lambda: len(submissions()) == 2, "the second submission logged")
-    found = submissions()
-    assert [line["verdict"] for line in found] == ["refused", "published"]
-    assert f"{name} 0.1.0" in found[1]["subject"]
+    logged = submissions()
+    assert [line["verdict"] for line in logged] == ["refused", "published"]
+    assert f"{name} 0.1.0" in logged[1]["subject"]
 
 
 def catalogue_of(installation: Installation) -> Catalogue:

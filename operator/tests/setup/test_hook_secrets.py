@@ -59,9 +59,9 @@ class ArgoCD:
 
     def pods(self, deployment: str, old: int = 0, new: int = 0) -> None:
         """What the controller of Deployments says of one: how many pods there are, all of them ready."""
-        [found] = [one for one in self._deployments() if one.metadata.name == deployment]
+        [match] = [one for one in self._deployments() if one.metadata.name == deployment]
         counts = {"replicas": old + new, "availableReplicas": old + new, "readyReplicas": old + new}
-        status = {"observedGeneration": found.metadata.generation, "updatedReplicas": new, **counts}
+        status = {"observedGeneration": match.metadata.generation, "updatedReplicas": new, **counts}
         client.AppsV1Api(self.core.api_client).patch_namespaced_deployment_status(
             deployment, NAMESPACE, {"status": status}
         )

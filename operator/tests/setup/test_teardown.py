@@ -114,9 +114,9 @@ def api_server() -> Iterator[tuple[str, list[str]]]:
     class Handler(BaseHTTPRequestHandler):
         def do_DELETE(self) -> None:
             calls.append(f"DELETE {self.path}")
-            found = bool(ours) and self.path.endswith("/applicationsets/releases")
+            known = bool(ours) and self.path.endswith("/applicationsets/releases")
             ours.clear()
-            self.answer(200 if found else 404, {})
+            self.answer(200 if known else 404, {})
 
         def do_GET(self) -> None:
             calls.append(f"GET {self.path}")

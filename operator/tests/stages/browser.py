@@ -53,10 +53,10 @@ class Page:
 
     def submit(self, form: str, values: Mapping[str, str]) -> None:
         """Fill in the form that a selector names, send it, and wait until the next page has loaded."""
-        found = f"document.querySelector({json.dumps(form)})"
+        element = f"document.querySelector({json.dumps(form)})"
         for name, value in values.items():
-            self.evaluate(f"{found}.elements[{json.dumps(name)}].value = {json.dumps(value)}")
-        self._leave(lambda: self.evaluate(f"{found}.requestSubmit()"))
+            self.evaluate(f"{element}.elements[{json.dumps(name)}].value = {json.dumps(value)}")
+        self._leave(lambda: self.evaluate(f"{element}.requestSubmit()"))
 
     def evaluate(self, script: str) -> Any:
         """The value of an expression on the page."""

@@ -34,9 +34,9 @@ def of_tables(text: str) -> Iterator[str]:
     """Names of tables whose head has their prefix."""
     prefix = ""
     for line in text.splitlines():
-        found = TABLE.match(line)
-        prefix = found[1] if found else prefix if line.startswith("|") else ""
-        if prefix and not found:
+        match = TABLE.match(line)
+        prefix = match[1] if match else prefix if line.startswith("|") else ""
+        if prefix and not match:
             yield from (prefix + name for name in re.findall("`([a-z_]+)`", line.split("|")[1]))
 
 

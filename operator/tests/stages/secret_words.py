@@ -10,7 +10,7 @@ from typing import Any
 
 def words(secret: Mapping[str, Any]) -> str:
     """All of its values; a release of Helm's is compressed and encoded once more."""
-    found = [base64.b64decode(value) for value in (secret.get("data") or {}).values()]
+    values = [base64.b64decode(value) for value in (secret.get("data") or {}).values()]
     if secret["type"] == "helm.sh/release.v1":
-        found = [gzip.decompress(base64.b64decode(value)) for value in found]
-    return "".join(value.decode(errors="replace") for value in found)
+        values = [gzip.decompress(base64.b64decode(value)) for value in values]
+    return "".join(value.decode(errors="replace") for value in values)

@@ -114,10 +114,10 @@ def test_nothing_is_found_where_every_rule_is_kept(place: Path) -> None:
 )
 def test_a_core_that_is_not_pure_is_a_finding(place: Path, text: str, problem: str) -> None:
     write(place, CORE, f"{text}\n")
-    found = findings(place)
-    assert found
-    assert all(CORE.removeprefix("operator/src/") in line for line in found)
-    assert problem in "\n".join(found)
+    impure = findings(place)
+    assert impure
+    assert all(CORE.removeprefix("operator/src/") in line for line in impure)
+    assert problem in "\n".join(impure)
 
 
 def test_what_a_core_may_use_is_no_finding(place: Path) -> None:

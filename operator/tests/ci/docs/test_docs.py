@@ -45,10 +45,10 @@ def code(page: Path) -> Iterator[str]:
 @cache
 def verbs() -> dict[str, set[str]]:
     """Noun -> verbs of the command line's own parser."""
-    found: dict[str, set[str]] = {}
+    of_nouns: dict[str, set[str]] = {}
     for noun, parser in nouns().items():
-        found[noun] = set(choices(parser))
-    return found
+        of_nouns[noun] = set(choices(parser))
+    return of_nouns
 
 
 @cache
@@ -107,7 +107,7 @@ def test_every_target_of_make_runs_a_module_that_exists() -> None:
 def test_every_command_is_in_the_reference() -> None:
     text = (REPOSITORY / "docs/reference/command-line.md").read_text(encoding="utf-8")
     assert [
-        f"{noun} {verb}" for noun, found in verbs().items() for verb in found if f"robotkube {noun} {verb}" not in text
+        f"{noun} {verb}" for noun, known in verbs().items() for verb in known if f"robotkube {noun} {verb}" not in text
     ] == []
 
 

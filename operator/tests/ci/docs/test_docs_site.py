@@ -66,9 +66,9 @@ def test_links_to_folders_and_other_files_lead_to_their_index_or_the_forge_or_na
 
 def test_every_page_of_this_repository_is_in_the_contents_once() -> None:
     names = pages.Repository(frozenset(links.files())).pages()
-    found = pages.contents(names)
-    assert list(found) == list(pages.SECTIONS)
-    assert sorted([pages.TOP, *(name for section in found.values() for name in section)]) == sorted(names)
+    contents = pages.contents(names)
+    assert list(contents) == list(pages.SECTIONS)
+    assert sorted([pages.TOP, *(name for section in contents.values() for name in section)]) == sorted(names)
 
 
 def test_a_repository_without_its_first_page_is_refused_in_words() -> None:
@@ -112,9 +112,9 @@ def test_the_first_page_has_the_contents() -> None:
 def test_what_is_loaded_from_elsewhere_is_found(html: str, tmp_path: Path) -> None:
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder" / "page.html").write_text(f"<html><body>{html}</body></html>", encoding="utf-8")
-    found = list(loading.findings(tmp_path))
-    assert len(found) == 1
-    assert found[0].startswith("folder/page.html: ")
+    loaded = list(loading.findings(tmp_path))
+    assert len(loaded) == 1
+    assert loaded[0].startswith("folder/page.html: ")
 
 
 @pytest.mark.parametrize(

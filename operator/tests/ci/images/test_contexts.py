@@ -40,11 +40,11 @@ def test_context_mirrors_the_sources_without_caches(source: Path, tmp_path: Path
     (source / "x.pyc").write_text("1")
     absent = Copied(tmp_path / "absent", "empty/folder", optional=True)
     assemble((Copied(source, "a/b"), absent), tmp_path / "context")
-    found = {
+    files = {
         p.relative_to(tmp_path / "context").as_posix(): p for p in (tmp_path / "context").rglob("*") if p.is_file()
     }
-    assert sorted(found) == ["a/b/deep/file", "a/b/program"]
-    assert os.access(found["a/b/program"], os.X_OK)
+    assert sorted(files) == ["a/b/deep/file", "a/b/program"]
+    assert os.access(files["a/b/program"], os.X_OK)
     assert (tmp_path / "context" / "empty" / "folder").is_dir()
 
 

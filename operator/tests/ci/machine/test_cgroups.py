@@ -44,9 +44,9 @@ def test_nodes_weigh_by_what_waits_for_them(first_version: Path) -> None:
 
 
 def test_a_daemon_is_where_its_time_is_counted_and_where_it_is_weighed(first_version: Path) -> None:
-    found = cgroups.daemon_folders(CLUSTER, "etcd", 400)
-    assert {folder.relative_to(first_version).parts[0] for folder in found} == {"cpu", "cpuacct"}
-    assert all(folder.is_dir() for folder in found)
+    groups = cgroups.daemon_folders(CLUSTER, "etcd", 400)
+    assert {folder.relative_to(first_version).parts[0] for folder in groups} == {"cpu", "cpuacct"}
+    assert all(folder.is_dir() for folder in groups)
     assert shares(first_version, "daemons/etcd") == 4096
     assert shares(first_version, ".") == cgroups.TOP_WEIGHT * 1024 // 100
     assert shares(first_version, "daemons") == cgroups.DAEMONS_WEIGHT * 1024 // 100

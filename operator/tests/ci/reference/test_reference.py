@@ -78,28 +78,28 @@ def test_the_readmes_of_charts_are_current(chart: str) -> None:
 
 
 def test_every_chart_but_the_earlier_ones_is_described() -> None:
-    found = {str(path.parent.relative_to(charts.CHARTS)) for path in charts.CHARTS.glob("**/Chart.yaml")}
-    assert set(charts.DESCRIBED) == {chart for chart in found if not chart.startswith("earlier/")}
+    every_chart = {str(path.parent.relative_to(charts.CHARTS)) for path in charts.CHARTS.glob("**/Chart.yaml")}
+    assert set(charts.DESCRIBED) == {chart for chart in every_chart if not chart.startswith("earlier/")}
 
 
 def test_what_people_wrote_in_a_readme_stays() -> None:
     begin, end = charts.BEGIN, charts.END
-    found = charts.readme("robotkube", f"before\n{begin}\nstale\n{end}\nafter\n")
-    assert found.startswith(f"before\n{begin}\n| value | default | meaning |\n")
-    assert found.endswith(f"{end}\nafter\n")
-    assert "stale" not in found
+    readme = charts.readme("robotkube", f"before\n{begin}\nstale\n{end}\nafter\n")
+    assert readme.startswith(f"before\n{begin}\n| value | default | meaning |\n")
+    assert readme.endswith(f"{end}\nafter\n")
+    assert "stale" not in readme
     with pytest.raises(ValueError, match="needs both marks"):
         charts.readme("apps/mqtt-bridge", "nothing")
 
 
 def test_what_every_component_takes_stands_once() -> None:
-    found = charts.readme("robotkube", f"{charts.BEGIN}{charts.END}")
-    assert found.count("| `podLabels` |") == 1
-    assert "gate.podLabels" not in found
+    readme = charts.readme("robotkube", f"{charts.BEGIN}{charts.END}")
+    assert readme.count("| `podLabels` |") == 1
+    assert "gate.podLabels" not in readme
     parts = ("managers[]", "gate", "suites", "broker", "certificates", "rights", "database", "forge")
     parts += ("admission", "inspection", "remover", "console", "bootstrap", "installationTest", "teardown")
-    assert f"Each of {', '.join(f'`{part}`' for part in parts)} takes" in " ".join(found.split())
-    assert "| `managers[].replicas` | `1` |" in found
+    assert f"Each of {', '.join(f'`{part}`' for part in parts)} takes" in " ".join(readme.split())
+    assert "| `managers[].replicas` | `1` |" in readme
 
 
 def test_the_commands_are_current() -> None:
@@ -109,12 +109,12 @@ def test_the_commands_are_current() -> None:
 
 def test_commands_are_written_between_the_marks_only() -> None:
     begin, end = commands.BEGIN, commands.END
-    found = commands.page(f"before\n{begin}\nold\n{end}\nafter\n")
-    assert found.startswith(f"before\n{begin}\n")
-    assert found.endswith(f"{end}\nafter\n")
-    assert "old\n" not in found.partition(begin)[2].partition("###")[0]
-    assert "### robotkube task submit" in found
-    assert "`--policy Reject\\|Postpone\\|Offload\\|Preempt`" in found
+    page = commands.page(f"before\n{begin}\nold\n{end}\nafter\n")
+    assert page.startswith(f"before\n{begin}\n")
+    assert page.endswith(f"{end}\nafter\n")
+    assert "old\n" not in page.partition(begin)[2].partition("###")[0]
+    assert "### robotkube task submit" in page
+    assert "`--policy Reject\\|Postpone\\|Offload\\|Preempt`" in page
     with pytest.raises(ValueError, match="needs both marks"):
         commands.page("nothing")
 

@@ -34,14 +34,14 @@ SUBMITTED = [
 
 @pytest.fixture
 def access(api_server: ApiServerProcess, api: Api) -> Iterator[Access]:
-    found = Access(api_server.kubeconfig)
+    reached = Access(api_server.kubeconfig)
     for namespace in {given["namespace"] for given in SUBMITTED} | {PLATFORM, GATE}:
         with contextlib.suppress(client.ApiException):  # it is there already
-            found.core.create_namespace({"metadata": {"name": namespace}})
-    yield found
-    for task in found.tasks():
-        found.delete_task(task["metadata"]["namespace"], task["metadata"]["name"])
-    found.disconnect()
+            reached.core.create_namespace({"metadata": {"name": namespace}})
+    yield reached
+    for task in reached.tasks():
+        reached.delete_task(task["metadata"]["namespace"], task["metadata"]["name"])
+    reached.disconnect()
 
 
 def test_players_drive_on_until_their_last_event_is_over(access: Access) -> None:
@@ -82,8 +82,8 @@ def test_tasks_of_all_stories_are_taken_watched_and_withdrawn(access: Access) ->
             access.create_task(acting.task(given))
         keys = {f"{given['namespace']}/{given['name']}" for given in SUBMITTED}
         until(lambda: {life.key for life in watch.lives()} >= keys, "all tasks are seen")
-        found = access.task(SUBMITTED[0]["namespace"], SUBMITTED[0]["name"])
-        assert found["spec"]["application"] == SUBMITTED[0]["application"]
+        task = access.task(SUBMITTED[0]["namespace"], SUBMITTED[0]["name"])
+        assert task["spec"]["application"] == SUBMITTED[0]["application"]
         for key in keys:
             access.delete_task(*key.split("/", 1))
             access.delete_task(*key.split("/", 1))

@@ -190,9 +190,17 @@ def test_a_release_is_looked_for_on_main_and_in_the_cluster(
 
 def test_the_task_of_a_step_is_one_that_the_manager_reads() -> None:
     more = {"conflictPolicy": "Postpone", "priority": 900, "placement": {"roles": ["edge"]}}
-    found = read_task(acting.task({**SUBMIT, **more}))
-    assert (found.key, found.application, found.parameters) == ("cloud-0/a", "object-detection", {"sensor": "x"})
-    assert (found.conflict_policy, found.priority, found.placement.roles) == ("Postpone", 900, ("edge",))
+    description = read_task(acting.task({**SUBMIT, **more}))
+    assert (description.key, description.application, description.parameters) == (
+        "cloud-0/a",
+        "object-detection",
+        {"sensor": "x"},
+    )
+    assert (description.conflict_policy, description.priority, description.placement.roles) == (
+        "Postpone",
+        900,
+        ("edge",),
+    )
 
 
 def plan(number: int, **values: Any) -> Plan:
@@ -220,12 +228,12 @@ def test_a_plan_without_a_start_time_comes_first_and_takes_the_one_that_is_known
 
 
 def news(uid: str, *conditions: tuple[str, str, str], parent: str = "") -> dict[str, Any]:
-    found = [
+    of_status = [
         {"type": kind, "status": status, "reason": reason, "message": "because"} for kind, status, reason in conditions
     ]
     spec = {"chain": {"parent": parent}} if parent else {}
     metadata = {"uid": uid, "namespace": "cloud-0", "name": "a"}
-    return {"metadata": metadata, "spec": spec, "status": {"conditions": found}}
+    return {"metadata": metadata, "spec": spec, "status": {"conditions": of_status}}
 
 
 def test_a_task_s_life_is_noted_from_the_watch() -> None:

@@ -83,7 +83,7 @@ def going(run: Any, monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         releases_since=lambda _: iter(()),
         history=lambda _: known.history,
     )
-    found = SimpleNamespace(
+    stage = SimpleNamespace(
         name="run-1",
         scenario=run.scenario,
         access=Answers(known),
@@ -108,9 +108,9 @@ def going(run: Any, monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         plans_before=(),
         warnings=[],
     )
-    found.warn = found.warnings.append
+    stage.warn = stage.warnings.append
     monkeypatch.setattr(running.time, "time_ns", lambda: known.ended)
-    return found
+    return stage
 
 
 def judged(going: SimpleNamespace) -> report.Report:
@@ -173,8 +173,8 @@ def test_evidence_is_verified_with_the_platform_s_keys(
         going.catalogue.files = lambda _, data=envelope: {"evidence/app/x/summary.json": data}
         one = ReleasedChart("app", "0.1.0", artefact().digest, sha256(envelope), "a/app")
         going.warnings.clear()
-        found = running._summaries(going, [one])
-        assert (found[one.evidence] == one.digest, len(going.warnings)) == (warnings == 0, warnings)
+        summaries = running._summaries(going, [one])
+        assert (summaries[one.evidence] == one.digest, len(going.warnings)) == (warnings == 0, warnings)
 
 
 def test_a_database_that_does_not_answer_costs_what_is_recorded(

@@ -66,11 +66,11 @@ def uncertainties(places: Iterable[float], obstacles: tuple[scene.Obstacle, ...]
     """The uncertainty of the first vehicle's detection at places of its lane."""
     rays = scene.ray_directions(20_000)
     writer, noise = messages.CloudWriter("v", len(rays)), np.zeros(len(rays), np.float32)
-    found = []
+    values = []
     for x in places:
         seen = scene.cast(rays, scene.MOUNTS[0], scene.Place(x, STOPPED.y, 0.0), [HIDDEN], noise, obstacles)
-        found.append(uncertainty_of(find_objects(read_cloud(writer.message(0, seen)), CRITERIA)))
-    return found
+        values.append(uncertainty_of(find_objects(read_cloud(writer.message(0, seen)), CRITERIA)))
+    return values
 
 
 def test_it_is_uncertain_because_of_the_container_alone_and_once() -> None:

@@ -44,8 +44,8 @@ def payload(statement: Any) -> str:
 
 
 def statement(envelope: bytes) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(base64.b64decode(json.loads(envelope)["payload"]))
-    return found
+    document: dict[str, Any] = json.loads(base64.b64decode(json.loads(envelope)["payload"]))
+    return document
 
 
 def released(envelope: bytes) -> ReleasedChart:
@@ -92,8 +92,8 @@ def test_a_signed_statement_that_is_no_summary_of_a_pass_is_none(key: KeyFile, k
 @pytest.mark.parametrize("subjects", [[], [{"name": "a", "digest": {"sha256": HEX}}] * 2])
 def test_a_summary_is_about_one_chart(subjects: list[Any]) -> None:
     predicate = {"verificationResult": "PASSED"}
-    found = {"predicateType": evidence.SUMMARY_PREDICATE, "predicate": predicate, "subject": subjects}
-    assert evidence.summaries({PATH: b"x"}, lambda _: VerifiedStatement(found, "", "")) == {sha256(b"x"): ""}
+    document = {"predicateType": evidence.SUMMARY_PREDICATE, "predicate": predicate, "subject": subjects}
+    assert evidence.summaries({PATH: b"x"}, lambda _: VerifiedStatement(document, "", "")) == {sha256(b"x"): ""}
 
 
 @pytest.mark.parametrize(
@@ -128,5 +128,7 @@ def test_releases_without_annotations_have_no_evidence() -> None:
     keys = {"chart": "bridge", "chart-version": "0.1.0", "chart-digest": f"sha256:{HEX}", "evidence": "none"}
     good = {"metadata": {"annotations": {f"robotkube.io/{key}": value for key, value in keys.items()}}}
     nothing = ReleasedChart("", "", "", "", "b/x")
-    found = evidence.released([("a/bridge", good), ("a/bridge", good), *(("b/x", bad) for bad in (None, [], {}, "x"))])
-    assert found == (nothing, ReleasedChart("bridge", "0.1.0", f"sha256:{HEX}", "none", "a/bridge"))
+    releases = evidence.released(
+        [("a/bridge", good), ("a/bridge", good), *(("b/x", bad) for bad in (None, [], {}, "x"))]
+    )
+    assert releases == (nothing, ReleasedChart("bridge", "0.1.0", f"sha256:{HEX}", "none", "a/bridge"))

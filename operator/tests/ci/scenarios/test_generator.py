@@ -156,17 +156,17 @@ def test_the_same_parameters_give_the_same_bytes(
 
 
 def test_the_player_reads_the_bag_in_order_with_its_qualities(made: Mapping[str, Path]) -> None:
-    found = open_bag(made["vehicle-00"])
-    qualities = {topic.name.rpartition("/")[2]: (topic.durability, topic.reliability) for topic in found.topics}
+    bag = open_bag(made["vehicle-00"])
+    qualities = {topic.name.rpartition("/")[2]: (topic.durability, topic.reliability) for topic in bag.topics}
     assert qualities == {
         "pose": ("volatile", "reliable"),
         "transform": ("transient_local", "reliable"),
         "pointcloud": ("volatile", "reliable"),
     }
-    times = [(moment, messages.stamp_of(data)) for _, moment, data in found.messages()]
+    times = [(moment, messages.stamp_of(data)) for _, moment, data in bag.messages()]
     assert times == sorted(times)
     assert all(moment == stamp for moment, stamp in times)
-    found.close()
+    bag.close()
 
 
 def test_bags_are_made_once(quick: definition.Scenario, made: Mapping[str, Path]) -> None:

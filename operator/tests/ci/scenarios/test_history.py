@@ -40,8 +40,8 @@ class Clone(Deployment):
 
 @pytest.fixture
 def clone() -> Iterator[Clone]:
-    with Clone(Endpoint("127.0.0.1", 1), "person", "password") as found:
-        yield found
+    with Clone(Endpoint("127.0.0.1", 1), "person", "password") as cloned:
+        yield cloned
 
 
 def test_each_commit_of_main_says_which_tasks_its_releases_name(clone: Clone) -> None:

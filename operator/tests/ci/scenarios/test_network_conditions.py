@@ -194,8 +194,8 @@ def named(run: Any) -> tuple[int | None, int | None]:
             "named_but_present": definition.Bound("equals", 0),
         },
     )
-    found = {row.name: row.measured for row in run.judge().table}
-    return found["missing_unnamed"], found["named_but_present"]
+    measured = {row.name: row.measured for row in run.judge().table}
+    return measured["missing_unnamed"], measured["named_but_present"]
 
 
 def test_an_audit_that_names_exactly_what_is_missing(run: Any) -> None:

@@ -159,9 +159,9 @@ def test_a_detection_runs_on_every_role_that_a_task_asks_for(tmp_path: Path, rol
     where = {"roles": [role], **({"agents": [sensor]} if role == "vehicle" else {})}
     step = ask("on", sensor, placement=where)
     acting.Actor(rehearsal, rehearsal, rehearsal.releases, lambda _: None)._step(read_steps([step])[0])  # type: ignore[arg-type]
-    found = [name for name in rehearsal.releases() if name.endswith(f"/object-detection-{sensor}")]
+    detections = [name for name in rehearsal.releases() if name.endswith(f"/object-detection-{sensor}")]
     roles = {node.agent: node.role for node in definition.load(WIDEST).nodes}
-    assert [roles[name.partition("/")[0]] for name in found] == [role]
+    assert [roles[name.partition("/")[0]] for name in detections] == [role]
 
 
 def test_requirements_choose_the_version(tmp_path: Path) -> None:
@@ -176,9 +176,9 @@ def test_requirements_choose_the_version(tmp_path: Path) -> None:
     for name, (sensor, requirement) in wanted.items():
         more = {"provides": "perception/detection", "requirements": [requirement], "placement": {"roles": ["cloud"]}}
         actor._step(read_steps([ask(name, sensor, **more)])[0])
-    found = rehearsal.releases()
-    assert found["cloud-0/object-detection-vehicle-00"].version == "0.1.2"
-    assert found["cloud-0/object-detection-vehicle-01"].version == "0.2.3"
+    releases = rehearsal.releases()
+    assert releases["cloud-0/object-detection-vehicle-00"].version == "0.1.2"
+    assert releases["cloud-0/object-detection-vehicle-01"].version == "0.2.3"
     refused = rehearsal.task("cloud-0", "impossible")["status"]["conditions"][0]
     assert (refused["reason"], "range" in refused["message"]) == ("GuaranteeNotMet", True)
 

@@ -29,9 +29,9 @@ def paths(parameters: definition.Parameters, count: int) -> tuple[np.ndarray, li
 
 def encounters(parameters: definition.Parameters, first: int, second: int) -> list[tuple[float, float]]:
     """Start and stop of every event of the two, as the rule sees them."""
-    times, found = paths(parameters, max(first, second) + 1)
+    times, driven = paths(parameters, max(first, second) + 1)
     events, start = [], -1.0
-    for moment, value in zip(times, routes.distance(found[first], found[second]), strict=True):
+    for moment, value in zip(times, routes.distance(driven[first], driven[second]), strict=True):
         if start < 0 and value < parameters.start_distance_m:
             start = float(moment)
         elif start >= 0 and value > parameters.stop_distance_m:
@@ -56,12 +56,12 @@ def test_encounters_overlap_and_the_first_pair_meets_again(overrides: tuple[str,
 
 def test_three_vehicles_drive_smoothly_and_the_fourth_is_far_away() -> None:
     parameters = definition.load(THREE).parameters
-    _, found = paths(parameters, parameters.vehicles)
+    _, driven = paths(parameters, parameters.vehicles)
     for index in (0, 2):
-        steps = np.hypot(np.diff(found[index].x), np.diff(found[index].y)) / STEP
+        steps = np.hypot(np.diff(driven[index].x), np.diff(driven[index].y)) / STEP
         assert steps.max() <= parameters.speed_mps + 0.01
         assert np.abs(np.diff(steps)).max() <= 0.06  # 4 m/s2 along the path
-    nearest = min(routes.distance(found[3], path).min() for path in found[:3])
+    nearest = min(routes.distance(driven[3], path).min() for path in driven[:3])
     assert nearest > parameters.stop_distance_m
 
 
@@ -76,9 +76,9 @@ def test_a_vehicle_passes_the_road_side_unit_once() -> None:
     assert start >= 4.9
     assert stop - start >= intersection.NEAR_SECONDS_MIN
     assert routes.duration_seconds(parameters) - stop >= 17
-    _, found = paths(parameters, parameters.vehicles + 1)
-    assert 10 < routes.distance(found[0], found[parameters.vehicles]).min() < 15
-    assert np.ptp(found[parameters.vehicles].x) == 0
+    _, driven = paths(parameters, parameters.vehicles + 1)
+    assert 10 < routes.distance(driven[0], driven[parameters.vehicles]).min() < 15
+    assert np.ptp(driven[parameters.vehicles].x) == 0
 
 
 def test_a_vehicle_that_rushes_by_is_refused() -> None:
@@ -116,11 +116,11 @@ def test_perception_on_the_road_side_unit_follows_both_vehicles(
             continue
         clouds += 1
         cloud = read_cloud(data)
-        found = find_objects(cloud, ObjectCriteria(REFLECTANCE, 60))
-        identities |= {track.id for track in tracker.observe(Poses(cloud.header, tuple(one.pose for one in found)))}
+        objects = find_objects(cloud, ObjectCriteria(REFLECTANCE, 60))
+        identities |= {track.id for track in tracker.observe(Poses(cloud.header, tuple(one.pose for one in objects)))}
         vehicle, unit = (routes.motion(parameters, index, np.array([moment / 1e9])) for index in (0, 2))
         distance = routes.distance(vehicle, unit)[0]
-        if (distance < 58 and len(found) != 2) or (distance > 62 and len(found) != 1):
+        if (distance < 58 and len(objects) != 2) or (distance > 62 and len(objects) != 1):
             missed.append(moment)
     bag.close()
     assert identities == {1, 2}

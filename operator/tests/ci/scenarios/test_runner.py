@@ -419,8 +419,8 @@ def test_cables_that_are_others_are_left_as_they_are() -> None:
 
 
 def test_the_commands_to_look_around_are_whole(scenario: definition.Scenario) -> None:
-    found = list(inspection.commands(scenario, Path("kubeconfig"), Endpoint("10.96.0.9", 3000)))
-    assert all(shlex.split(command) for _, command in found)
+    commands = list(inspection.commands(scenario, Path("kubeconfig"), Endpoint("10.96.0.9", 3000)))
+    assert all(shlex.split(command) for _, command in commands)
     text = "\n".join(inspection.lines(scenario, Path("kubeconfig"), Endpoint("10.96.0.9", 3000)))
     assert "open plan N --forge` opens a pull request's page" in text
     assert "{person}" not in text

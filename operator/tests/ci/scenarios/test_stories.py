@@ -66,8 +66,8 @@ def test_what_the_person_asks_for_is_in_the_registry(scenario: definition.Scenar
 def test_tasks_of_steps_can_be_read_and_fit_their_application(scenario: definition.Scenario) -> None:
     for step in scenario.steps:
         if step.action == "submit":
-            found = read_task(acting.task(step.given) | {"status": {}})
-            jsonschema.validate(dict(found.parameters), application(found.application)["parameters"])  # type: ignore[arg-type]
+            description = read_task(acting.task(step.given) | {"status": {}})
+            jsonschema.validate(dict(description.parameters), application(description.application)["parameters"])  # type: ignore[arg-type]
 
 
 def test_steps_name_agents_and_tasks_that_are_there(scenario: definition.Scenario) -> None:

@@ -86,9 +86,9 @@ def test_a_task_that_goes_its_way(picture: PlatformPicture) -> None:
 
 
 def test_a_refused_task_says_why_and_awaits_nothing() -> None:
-    found = way("cloud-0/one", task("one", ("Accepted", "False", "NoCapableNode")), [])
-    assert found
-    assert (found.awaits, found.problem) == ("", "NoCapableNode: words")
+    shown = way("cloud-0/one", task("one", ("Accepted", "False", "NoCapableNode")), [])
+    assert shown
+    assert (shown.awaits, shown.problem) == ("", "NoCapableNode: words")
 
 
 def test_what_is_not_read_yet_is_no_empty_fleet() -> None:

@@ -30,15 +30,15 @@ def _filled(platform: LivePlatformInMemory) -> SimpleNamespace:
     """Its watches are made by the feed; what is there is put before they start."""
 
     def watch_tasks(changed: object) -> object:
-        found = platform.watch_tasks(changed)  # type: ignore[arg-type]
-        found.put(task("one"))
-        return found
+        started = platform.watch_tasks(changed)  # type: ignore[arg-type]
+        started.put(task("one"))
+        return started
 
     def watch_of_agents(kind: str, reduce: object, changed: object) -> object:
-        found = platform.watch_of_agents(kind, reduce, changed)  # type: ignore[arg-type]
+        started = platform.watch_of_agents(kind, reduce, changed)  # type: ignore[arg-type]
         if kind == "nodes":
-            found.put(node("vehicle-00"))
-        return found
+            started.put(node("vehicle-00"))
+        return started
 
     return SimpleNamespace(
         watch_tasks=watch_tasks, watch_of_agents=watch_of_agents, page=platform.page, detector_metrics=dict
@@ -87,9 +87,9 @@ def test_an_api_server_that_does_not_answer(
     made = _filled(platform)
 
     def silent(changed: object) -> object:
-        found = platform.watch_tasks(changed)  # type: ignore[arg-type]
-        found.answers = False
-        return found
+        started = platform.watch_tasks(changed)  # type: ignore[arg-type]
+        started.answers = False
+        return started
 
     made.watch_tasks = silent
     monkeypatch.setattr(watch, "Platform", lambda options: made)

@@ -90,9 +90,9 @@ class Stage:
 
     @property
     def revoked(self) -> frozenset[int]:
-        found = issuing.listed(self.objects.kept_register[1], self.authority)
-        assert found is not None
-        return found
+        serials = issuing.listed(self.objects.kept_register[1], self.authority)
+        assert serials is not None
+        return serials
 
 
 @pytest.fixture

@@ -48,17 +48,17 @@ def view(with_task: bool = True, plans: object = None, edges: tuple[str, ...] = 
 )
 def test_everything_of_one_event_leads_to_the_same_chain(kind: str, wanted: str) -> None:
     all_of_it = view()
-    found = list(steps(find_of(kind, wanted, all_of_it), all_of_it))
-    assert sorted((step.step, step.id) for step in found) == sorted(WHOLE)
-    assert [(step.step, step.id) for step in found][:6] == WHOLE[:6]
-    assert {step.state for step in found} == {DONE}
+    chain = list(steps(find_of(kind, wanted, all_of_it), all_of_it))
+    assert sorted((step.step, step.id) for step in chain) == sorted(WHOLE)
+    assert [(step.step, step.id) for step in chain][:6] == WHOLE[:6]
+    assert {step.state for step in chain} == {DONE}
 
 
 def test_of_a_pod_the_chain_has_its_release_alone() -> None:
     all_of_it = view()
     for kind, wanted in (("pod", "cloud-0/recorder-0"), ("release", given.RECORDER)):
-        found = [(step.step, step.id) for step in steps(find_of(kind, wanted, all_of_it), all_of_it)]
-        assert found == [pair for pair in WHOLE if pair != ("Application", given.BRIDGE)]
+        chain = [(step.step, step.id) for step in steps(find_of(kind, wanted, all_of_it), all_of_it)]
+        assert chain == [pair for pair in WHOLE if pair != ("Application", given.BRIDGE)]
 
 
 @pytest.mark.parametrize(("seconds", "before"), [(-60, True), (-2, True), (0, False), (2, False)])
@@ -79,36 +79,36 @@ def test_a_pod_that_ran_before_the_plan_is_no_part_of_its_time(seconds: int, bef
 
 def test_times_and_links_and_values() -> None:
     all_of_it = view()
-    found = {step.step: step for step in steps(find_of("event", given.EVENT, all_of_it), all_of_it)}
+    by_step = {step.step: step for step in steps(find_of("event", given.EVENT, all_of_it), all_of_it)}
     began = given.BEGAN // 1_000_000
-    assert (found["plan"].time_ms, found["plan"].end_ms) == (began, began + 4000)
-    assert (found["pull request"].time_ms, found["pull request"].end_ms) == (began + 1000, began + 2000)
-    assert found["commit"].link == f"http://forge/robotkube/deployment/commit/{given.COMMIT}"
-    assert found["message"].text == "pose.position.x = 1.0"
-    assert found["event"].as_json()["details"] == [{"label": "distance_m", "value": "399.8"}]
-    assert found["task"].details[0] == ("Accepted", "Accepted, it is")
+    assert (by_step["plan"].time_ms, by_step["plan"].end_ms) == (began, began + 4000)
+    assert (by_step["pull request"].time_ms, by_step["pull request"].end_ms) == (began + 1000, began + 2000)
+    assert by_step["commit"].link == f"http://forge/robotkube/deployment/commit/{given.COMMIT}"
+    assert by_step["message"].text == "pose.position.x = 1.0"
+    assert by_step["event"].as_json()["details"] == [{"label": "distance_m", "value": "399.8"}]
+    assert by_step["task"].details[0] == ("Accepted", "Accepted, it is")
 
 
 def test_an_event_that_ended_leads_to_the_withdrawal() -> None:
     all_of_it = view(with_task=False, plans=given.plans(given.withdrawal()), edges=("start", "stop"))
-    found = list(steps(find_of("event", given.EVENT, all_of_it), all_of_it))
-    assert [step.step for step in found][-4:] == ["end", "plan", "pull request", "commit"]
-    assert next(step for step in found if step.step == "task").state == GONE
+    chain = list(steps(find_of("event", given.EVENT, all_of_it), all_of_it))
+    assert [step.step for step in chain][-4:] == ["end", "plan", "pull request", "commit"]
+    assert next(step for step in chain if step.step == "task").state == GONE
 
 
 def test_a_plan_that_the_gate_refused_says_so() -> None:
     refused = given.plans(on_main=False, merged=None, observed=None, error="the digest is not verified")
     all_of_it = view(plans=refused)
-    found = {step.step: step for step in steps(find_of("plan", given.PLAN, all_of_it), all_of_it)}
-    assert (found["pull request"].state, found["pull request"].text) == (FAILED, "the digest is not verified")
-    assert found["plan"].state == FAILED
+    by_step = {step.step: step for step in steps(find_of("plan", given.PLAN, all_of_it), all_of_it)}
+    assert (by_step["pull request"].state, by_step["pull request"].text) == (FAILED, "the digest is not verified")
+    assert by_step["plan"].state == FAILED
 
 
 def test_a_plan_on_its_way_waits_and_one_of_before_a_restart_does_not() -> None:
     for changed, state in (({"observed": None}, WAITING), ({"observed": None, "started": None}, DONE)):
         all_of_it = view(plans=given.plans(**changed))
-        found = {step.step: step for step in steps(find_of("plan", given.PLAN, all_of_it), all_of_it)}
-        assert found["plan"].state == state
+        by_step = {step.step: step for step in steps(find_of("plan", given.PLAN, all_of_it), all_of_it)}
+        assert by_step["plan"].state == state
 
 
 @pytest.mark.parametrize(

@@ -82,8 +82,8 @@ def console(
 
 
 def items(console: httpx.Client, kind: str) -> dict[str, Any]:
-    found: dict[str, Any] = console.get("/api/snapshot").raise_for_status().json()["items"].get(kind, {})
-    return found
+    of_kind: dict[str, Any] = console.get("/api/snapshot").raise_for_status().json()["items"].get(kind, {})
+    return of_kind
 
 
 def test_what_changes_in_the_cluster_is_told_in_a_stream(api: Api, console: httpx.Client, manager: Manager) -> None:

@@ -120,8 +120,8 @@ def test_a_wrong_file_is_refused_in_words(changes: dict[str, object], words: str
 
 
 def test_registered_people_have_keys_of_their_own() -> None:
-    found = read_signers(f"# people\n\n{line('one')}{line('two', OTHER)}")
-    assert found == {"one": (KEY.public_key().public_bytes_raw(),), "two": (OTHER.public_key().public_bytes_raw(),)}
+    signers = read_signers(f"# people\n\n{line('one')}{line('two', OTHER)}")
+    assert signers == {"one": (KEY.public_key().public_bytes_raw(),), "two": (OTHER.public_key().public_bytes_raw(),)}
     assert read_signers("# nobody\n") == {}
     with pytest.raises(DocumentError) as caught:
         read_signers(f"{line('one')}{line('two')}a b\none ssh-rsa AAAA\none ssh-ed25519 AAAA\n*,b {line('x')}")

@@ -25,21 +25,21 @@ def blocks(page: str) -> dict[str, str]:
 
 
 def test_every_policy_on_the_page_can_be_read() -> None:
-    found = blocks("write-a-policy.md")
-    initial = read_initial_policy(found.pop("policies/initial.yaml"))
+    policies = blocks("write-a-policy.md")
+    initial = read_initial_policy(policies.pop("policies/initial.yaml"))
     assert [addition.application for addition in initial.add] == ["bag-player", "pose-telemetry"]
-    merge = read_merge_policy(found.pop("policies/merge.yaml"))
+    merge = read_merge_policy(policies.pop("policies/merge.yaml"))
     assert merge.way_of_plan("manager-north", ["releases/vehicle-01/a.yaml"]) == AUTOMATIC
-    assert read_update_policy(found.pop("policies/updates.yaml")).charts["object-detection"].first == ("vehicle-02",)
-    assert read_revoked(found.pop("policies/revoked.yaml")) == {"vehicle-07": "its computer was stolen"}
-    assert read_enrolled(found.pop("policies/agents.yaml")) == {"vehicle-16": "vehicle"}
-    assert read_edits_policy(found.pop("policies/edits.yaml")) == "revert"
-    consents, problems = read_consents(found, LinkConsents())
+    assert read_update_policy(policies.pop("policies/updates.yaml")).charts["object-detection"].first == ("vehicle-02",)
+    assert read_revoked(policies.pop("policies/revoked.yaml")) == {"vehicle-07": "its computer was stolen"}
+    assert read_enrolled(policies.pop("policies/agents.yaml")) == {"vehicle-16": "vehicle"}
+    assert read_edits_policy(policies.pop("policies/edits.yaml")) == "revert"
+    consents, problems = read_consents(policies, LinkConsents())
     assert problems == ()
     pose = "/vehicles/vehicle_00/pose"
     assert consents.missing(pose, "manager", "manager-north") == ()
     assert len(consents.missing("/agents/cloud_0/plan", "manager", "manager-north")) == 1
-    assert {scope_of(path) for path in found} == {"manager", "manager-north"}
+    assert {scope_of(path) for path in policies} == {"manager", "manager-north"}
 
 
 def test_the_operator_on_the_page_is_an_application_that_says_who_launched_it() -> None:

@@ -18,12 +18,12 @@ PLAN = "20261121-100000-000001"
 
 
 def files(*names: str, namespace: str = "cloud-0") -> dict[str, str]:
-    found = {}
+    texts = {}
     for name in names:
         release = Release(namespace, name, "bridge", "0.1.0", DIGEST, {"a": name}, (), PLAN)
         source = Source(namespace, "bridge", DIGEST, "oci://forge:3000/verified/bridge")
-        found |= {release.path: write_release(release), source.path: write_source(source)}
-    return found
+        texts |= {release.path: write_release(release), source.path: write_source(source)}
+    return texts
 
 
 GOOD = files("one", "two")

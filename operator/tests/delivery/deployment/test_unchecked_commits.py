@@ -42,13 +42,13 @@ class Notes:
         self.asked += 1
         if self.away:
             raise UnavailableError("the forge is away")
-        found = {}
+        notes = {}
         for commit in commits:
             try:
-                found[commit] = self._repository.note(REFERENCE, commit).removesuffix("\n")
+                notes[commit] = self._repository.note(REFERENCE, commit).removesuffix("\n")
             except KeyError:
                 continue
-        return found
+        return notes
 
 
 class Main:

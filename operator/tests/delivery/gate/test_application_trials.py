@@ -42,9 +42,9 @@ def bad(good: Any, wrong: Any, key: str) -> dict[str, str]:
 
 
 def test_an_application_that_is_all_right_names_what_it_was_tried_with(tmp_path: Path) -> None:
-    found = tried(tmp_path, application({"rate": {"type": "integer", "minimum": 1, "maximum": 5}}))
-    assert found == TrialResult((), (reference(),), found.samples, 1)
-    assert found.samples > 3
+    trial = tried(tmp_path, application({"rate": {"type": "integer", "minimum": 1, "maximum": 5}}))
+    assert trial == TrialResult((), (reference(),), trial.samples, 1)
+    assert trial.samples > 3
 
 
 @pytest.mark.parametrize(
@@ -95,9 +95,9 @@ def test_a_parameter_that_leads_where_no_release_may_go_is_named_with_its_value(
 def test_two_parameters_that_are_harmless_one_by_one_are_tried_together(tmp_path: Path) -> None:
     pick = f"{{{{ '{FOREIGN}' if parameters.a != parameters.b and parameters.a == 2 else '{IMAGE}' }}}}"
     both = {"a": {"enum": [1, 2, 3]}, "b": {"enum": [1, 2, 3]}}
-    found = tried(tmp_path, application(both, {"image": pick}))
-    assert FOREIGN in found.problems[0]
-    assert found == tried(tmp_path, application(both, {"image": pick}))
+    trial = tried(tmp_path, application(both, {"image": pick}))
+    assert FOREIGN in trial.problems[0]
+    assert trial == tried(tmp_path, application(both, {"image": pick}))
 
 
 def test_without_the_static_suite_only_what_endangers_others_is_asked(tmp_path: Path) -> None:
@@ -120,9 +120,9 @@ def test_agents_that_parameters_and_templates_name_are_there(tmp_path: Path) -> 
     }
     other = {**service, "name": "other", "release": "other", "placement": {"role": "edge", "capabilities": ["gpu"]}}
     parameters = {"type": "object", "required": ["sensor"], "properties": sensor}
-    found = tried(tmp_path, application(parameters=parameters, services=[service, other]))
-    assert found.problems == ()
-    assert found.releases >= 2
+    trial = tried(tmp_path, application(parameters=parameters, services=[service, other]))
+    assert trial.problems == ()
+    assert trial.releases >= 2
 
 
 def test_a_bridge_is_tried_as_it_bridges(tmp_path: Path) -> None:
@@ -131,9 +131,9 @@ def test_a_bridge_is_tried_as_it_bridges(tmp_path: Path) -> None:
     bridging["applications/relaying.yaml"] = bridging["applications/relaying.yaml"].replace(
         "role: cloud", "agent: '{{ agent }}'"
     )
-    found = tried(tmp_path, bridging)
-    assert "hostIPC is true" in found.problems[0]
-    assert found.problems[0].startswith("spec.services[0]: ")
+    trial = tried(tmp_path, bridging)
+    assert "hostIPC is true" in trial.problems[0]
+    assert trial.problems[0].startswith("spec.services[0]: ")
 
 
 def test_a_link_whose_type_no_bridge_knows_is_refused_before_it_is_published(tmp_path: Path) -> None:
@@ -143,8 +143,8 @@ def test_a_link_whose_type_no_bridge_knows_is_refused_before_it_is_published(tmp
     (text,) = application({}, provides=["link/mqtt"]).values()
     bridge = text.replace("name: relaying", "name: bridge").replace("role: cloud", "agent: '{{ agent }}'")
     linked = application({}, links=[{"kind": "mqtt", **ends, "topics": [topic]}])
-    found = tried(tmp_path, relay(), linked, {"applications/bridge.yaml": bridge})
-    assert "type rover_msgs/msg/Fix: none of the packaged images has the message package" in found.problems[0]
+    trial = tried(tmp_path, relay(), linked, {"applications/bridge.yaml": bridge})
+    assert "type rover_msgs/msg/Fix: none of the packaged images has the message package" in trial.problems[0]
 
 
 def test_a_link_that_its_chart_takes_otherwise_is_refused_before_it_is_published(tmp_path: Path) -> None:
@@ -159,10 +159,10 @@ def test_a_link_that_its_chart_takes_otherwise_is_refused_before_it_is_published
     chart[path] = write_mapping(merged(chart[path], {"interfaces": [told]}))
     ends: dict[str, Any] = {"from": {"agent": "vehicle-00"}, "to": {"service": "relay"}}
     linked = application({}, links=[{"kind": "mqtt", **ends, "topics": [topic]}])
-    found = tried(tmp_path, chart, linked, {"applications/bridge.yaml": bridge})
+    trial = tried(tmp_path, chart, linked, {"applications/bridge.yaml": bridge})
     assert (
         "spec.links[0].topics[0].type: topic /vehicles/vehicle_00/level is std_msgs/msg/Float32 here"
-        in (found.problems[0])
+        in trial.problems[0]
     )
     told["type"] = topic["type"]
     chart[path] = write_mapping(merged(chart[path], {"interfaces": [told]}))
@@ -179,9 +179,9 @@ def test_a_topic_that_only_some_senders_may_write_is_refused_before_it_is_publis
     both = {"leader": vehicles, "follower": vehicles}
     ends: dict[str, Any] = {"from": {"agent": "{{ parameters.follower }}"}, "to": {"role": "cloud"}}
     linked = application(both, links=[{"kind": "mqtt", **ends, "topics": [topic]}])
-    found = tried(tmp_path, relay(), linked, {"applications/bridge.yaml": bridge})
-    assert "may not write it at the broker" in found.problems[0]
-    assert "'follower': 'vehicle-0" in found.problems[0]
+    trial = tried(tmp_path, relay(), linked, {"applications/bridge.yaml": bridge})
+    assert "may not write it at the broker" in trial.problems[0]
+    assert "'follower': 'vehicle-0" in trial.problems[0]
 
 
 def merged(text: str, spec: Mapping[str, Any]) -> dict[str, Any]:
@@ -192,15 +192,15 @@ def merged(text: str, spec: Mapping[str, Any]) -> dict[str, Any]:
 
 def test_one_that_runs_by_itself_is_tried_for_an_agent_of_its_role(tmp_path: Path) -> None:
     values = {"pod": {"hostIPC": "{{ agent == 'mast-00' }}"}}
-    found = tried(tmp_path, application({}, values, initialFor="mast"))
-    assert "hostIPC is true" in found.problems[0]
+    trial = tried(tmp_path, application({}, values, initialFor="mast"))
+    assert "hostIPC is true" in trial.problems[0]
 
 
 def test_a_version_that_was_withdrawn_is_not_composed_with(tmp_path: Path) -> None:
     withdrawn = {path: text.replace("state: staged", "state: withdrawn") for path, text in relay().items()}
-    found = tried(tmp_path, withdrawn, application(), versions=())
-    assert "no version of chart relay >=0.1.0 with assurance verified" in found.problems[0]
-    assert "state withdrawn is not allowed" in found.problems[0]
+    trial = tried(tmp_path, withdrawn, application(), versions=())
+    assert "no version of chart relay >=0.1.0 with assurance verified" in trial.problems[0]
+    assert "state withdrawn is not allowed" in trial.problems[0]
     assert tried(tmp_path, withdrawn, relay("0.2.0"), application(), versions=("0.2.0",)).problems == ()
 
 
@@ -210,18 +210,18 @@ def test_older_versions_in_the_range_are_tried_as_well(tmp_path: Path) -> None:
     versions = ("0.0.9", "0.2.0")
     ranged = application({}, {"rate": 5})
     ranged["applications/relaying.yaml"] = ranged["applications/relaying.yaml"].replace(">=0.1.0", ">=0.0.1")
-    found = tried(tmp_path, older, newer, ranged, versions=versions)
+    trial = tried(tmp_path, older, newer, ranged, versions=versions)
     assert (
-        "chart relay 0.0.9: values: Additional properties are not allowed ('rate' was unexpected)" in found.problems[0]
+        "chart relay 0.0.9: values: Additional properties are not allowed ('rate' was unexpected)" in trial.problems[0]
     )
-    assert "narrow the range of chart relay" in found.problems[0]
+    assert "narrow the range of chart relay" in trial.problems[0]
     good = tried(tmp_path, relay("0.0.9"), newer, ranged, versions=versions)
     assert good.charts == (reference("0.0.9"), reference("0.2.0"))
 
 
 def test_what_was_not_submitted_counts_by_its_own_evidence(tmp_path: Path) -> None:
-    found = tried(tmp_path, relay(), application(), versions=())
-    assert "relay 0.1.0 (staged): state staged is not allowed" in found.problems[0]
+    trial = tried(tmp_path, relay(), application(), versions=())
+    assert "relay 0.1.0 (staged): state staged is not allowed" in trial.problems[0]
 
 
 def test_parameters_for_which_no_value_is_found_are_named(tmp_path: Path) -> None:
@@ -248,9 +248,9 @@ def test_trials_are_bounded_in_releases_and_in_time(tmp_path: Path, monkeypatch:
     files = catalogue(relay(), application(rate, {"rate": "{{ parameters.rate }}"}))
 
     def result(seconds_each: float = 0.0) -> TrialResult:
-        found = trials(tmp_path, seconds_each=seconds_each)(files, ["relaying"], [reference()])["relaying"]
-        assert found.finished is found.passed
-        return found
+        trial = trials(tmp_path, seconds_each=seconds_each)(files, ["relaying"], [reference()])["relaying"]
+        assert trial.finished is trial.passed
+        return trial
 
     looks_while_composing = 2 * result().samples + 2
     for seconds_each in (50.0, 60 / (looks_while_composing + 1)):  # while it composes, and while it renders

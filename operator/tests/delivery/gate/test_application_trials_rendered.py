@@ -72,9 +72,9 @@ def catalogue() -> Catalogue:
 
 @pytest.fixture
 def renderer() -> Iterator[ChartRenderer]:
-    found = ChartRenderer(program("chart-renderer"))
-    yield found
-    found.close()
+    started = ChartRenderer(program("chart-renderer"))
+    yield started
+    started.close()
 
 
 def trials(catalogue: Catalogue, renderer: ChartRenderer, folder: Path) -> CompositionTrials:
@@ -114,10 +114,10 @@ def test_a_value_that_names_an_image_is_found_where_a_parameter_leads_to_it(
     text["spec"]["parameters"] = {"type": "object", "properties": parameters}
     head = {"apiVersion": "registry.robotkube.io/v1alpha1", "kind": "Application", "metadata": {"name": "bridging"}}
     catalogue.files["applications/bridging.yaml"] = yaml.safe_dump({**head, **text})
-    found = trials(catalogue, renderer, tmp_path)(catalogue.files, ["bridging"], catalogue.submitted)["bridging"]
-    assert len(found.problems) == 1
+    trial = trials(catalogue, renderer, tmp_path)(catalogue.files, ["bridging"], catalogue.submitted)["bridging"]
+    assert len(trial.problems) == 1
     words = f"a pod would run image {FOREIGN}, which was not verified with chart"
-    assert f"spec.services[0]: with parameters {{'image': '{FOREIGN}'}}: {words}" in found.problems[0]
+    assert f"spec.services[0]: with parameters {{'image': '{FOREIGN}'}}: {words}" in trial.problems[0]
 
 
 def test_the_application_of_the_how_to_passes_with_the_chart_that_the_command_writes(
@@ -134,9 +134,9 @@ def test_the_application_of_the_how_to_passes_with_the_chart_that_the_command_wr
     values = {name: (chart / name).read_bytes() for name in ("values.schema.json", "values.yaml")}
     catalogue.files |= {"charts/text-relay/0.1.0.schema.json": schema_text(values)}
     catalogue.files |= {path.removeprefix("registry/"): text}
-    found = trials(catalogue, renderer, tmp_path)(catalogue.files, ["greeting"], catalogue.submitted)["greeting"]
-    assert found.problems == ()
-    assert [chart.name for chart in found.charts] == ["text-relay"]
+    trial = trials(catalogue, renderer, tmp_path)(catalogue.files, ["greeting"], catalogue.submitted)["greeting"]
+    assert trial.problems == ()
+    assert [chart.name for chart in trial.charts] == ["text-relay"]
 
 
 def test_a_new_chain_of_services_passes(catalogue: Catalogue, renderer: ChartRenderer, tmp_path: Path) -> None:
@@ -149,6 +149,6 @@ def test_a_new_chain_of_services_passes(catalogue: Catalogue, renderer: ChartRen
         catalogue.files[f"charts/{name}/0.1.0.schema.json"] = schema_text(values)
     path = "applications/delivery.yaml"
     catalogue.files[path] = (tmp_path / "registry" / path).read_text()
-    found = trials(catalogue, renderer, tmp_path)(catalogue.files, ["delivery"], catalogue.submitted)["delivery"]
-    assert found.problems == ()
-    assert [chart.name for chart in found.charts] == ["delivery-drive", "delivery-order", "delivery-plan"]
+    trial = trials(catalogue, renderer, tmp_path)(catalogue.files, ["delivery"], catalogue.submitted)["delivery"]
+    assert trial.problems == ()
+    assert [chart.name for chart in trial.charts] == ["delivery-drive", "delivery-order", "delivery-plan"]

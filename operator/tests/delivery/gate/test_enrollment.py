@@ -45,18 +45,18 @@ def test_what_may_not_stand_there(entry: str, problem: str) -> None:
 
 
 def test_a_manager_enrolls_nobody() -> None:
-    found = proposal({}, {"policies/agents.yaml": f"agents: [{{name: {NEW}, role: vehicle}}]"}, message())
-    assert "policies are made by people" in "\n".join(proposal_checks.judge(found, TIP, CLOSED).problems)
+    proposed = proposal({}, {"policies/agents.yaml": f"agents: [{{name: {NEW}, role: vehicle}}]"}, message())
+    assert "policies are made by people" in "\n".join(proposal_checks.judge(proposed, TIP, CLOSED).problems)
 
 
 def test_nothing_is_released_on_who_is_not_enrolled() -> None:
-    found = proposal({}, files(RELEASE), message())
-    problems = proposal_checks.judge(found, TIP, CLOSED).problems
+    proposed = proposal({}, files(RELEASE), message())
+    problems = proposal_checks.judge(proposed, TIP, CLOSED).problems
     assert problems[0] == (
         "releases/vehicle-16/bridge.yaml: vehicle-16 is reserved, and policies/agents.yaml on main does not enroll it: "
         "nothing may run there"
     )
-    assert proposal_checks.judge(found, TIP, ENROLLED).accepted
+    assert proposal_checks.judge(proposed, TIP, ENROLLED).accepted
     person = proposal({}, files(RELEASE), "By hand\n")
     assert "does not enroll it" in "\n".join(proposal_checks.judge_person(person, CLOSED).problems)
 

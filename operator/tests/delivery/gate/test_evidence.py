@@ -108,21 +108,21 @@ WRONG: dict[str, tuple[Callable[[Artefact], dict[str, str]], str]] = {
 def evidence(installation: Installation) -> Iterator[dict[str, str]]:
     """Every wrong version in the catalogue; version -> the evidence that its entry names."""
     files = {version: dict(make(about(version))) for version, (make, _) in WRONG.items()}
-    installation.publish({path: text for found in files.values() for path, text in found.items()})
+    installation.publish({path: text for texts in files.values() for path, text in texts.items()})
     yield {
-        version: yaml.safe_load(found[entry_path(version)])["status"].get("evidence", "none")
-        for version, found in files.items()
+        version: yaml.safe_load(texts[entry_path(version)])["status"].get("evidence", "none")
+        for version, texts in files.items()
     }
-    installation.publish({path: None for found in files.values() for path in found})
+    installation.publish({path: None for texts in files.values() for path in texts})
 
 
 @pytest.fixture(scope="module")
 def running(installation: Installation, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningGate]:
     """One gate for all of them."""
     controller = ApplicationSetController()
-    found = start_gate(installation, controller.url, tmp_path_factory.mktemp("gate"))
-    yield found
-    found.stop()
+    started = start_gate(installation, controller.url, tmp_path_factory.mktemp("gate"))
+    yield started
+    started.stop()
     controller.stop()
 
 

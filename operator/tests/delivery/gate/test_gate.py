@@ -54,10 +54,10 @@ def test_a_good_proposal_becomes_main_and_is_announced(
     commit = manager.commit(release_files(plan), message(plan), [before])
     number = installation.propose(manager, commit, plan)
     until(lambda: merged(installation, number), "merged")
-    found = installation.pull_request(number)
+    pull = installation.pull_request(number)
     assert manager.tip() == commit
-    assert found["merge_commit_sha"] == commit
-    assert found["merged_by"]["login"] == "gate"
+    assert pull["merge_commit_sha"] == commit
+    assert pull["merged_by"]["login"] == "gate"
     until(lambda: controller.announced(commit), "announced")
     event = next(event for _, event in controller.accepted if event["after"] == commit)
     assert event["before"] == before

@@ -57,12 +57,12 @@ def test_the_verified_image_may_run_wherever_it_comes_from() -> None:
     ("given", "named"), [(FOREIGN, FOREIGN), ("forge:3000/ros:1", "forge:3000/ros:1"), ("", "(none)")]
 )
 def test_any_other_image_is_refused(given: str, named: str) -> None:
-    found = problems({"images": [IMAGE, given]})
-    assert found == [
+    refused = problems({"images": [IMAGE, given]})
+    assert refused == [
         f"{PATH}: spec.values: a pod would run image {named}, which was not verified with chart {CHART} "
         f"(images: {IMAGE}); leave out the values that name an image, or publish a version with this one"
     ]
-    shown("gate", found[0], "tag-moves")
+    shown("gate", refused[0], "tag-moves")
 
 
 def test_an_image_that_is_a_volume_is_refused_as_well() -> None:
@@ -71,9 +71,9 @@ def test_an_image_that_is_a_volume_is_refused_as_well() -> None:
         "volumes": [{"name": "v", "image": {"reference": FOREIGN}}],
     }
     of_pod = pod_images([{"kind": "Pod", "spec": spec}])
-    [found] = problems({"images": of_pod})
-    assert f"a pod would run image {FOREIGN}" in found
-    shown("gate", found, "image-volume")
+    [refusal] = problems({"images": of_pod})
+    assert f"a pod would run image {FOREIGN}" in refusal
+    shown("gate", refusal, "image-volume")
 
 
 def test_a_chart_that_cannot_be_rendered_is_refused_and_one_that_cannot_be_tried_is_not() -> None:
@@ -86,8 +86,8 @@ def test_a_chart_that_cannot_be_rendered_is_refused_and_one_that_cannot_be_tried
 
 def test_a_chart_that_may_not_run_is_not_rendered() -> None:
     doubted = replace(VERSION, assured=False, evidence_problem="there is no summary")
-    found = problems({"error": UnavailableError("rendered")}, rules(doubted))
-    assert found == [
+    refused = problems({"error": UnavailableError("rendered")}, rules(doubted))
+    assert refused == [
         f"{PATH}: chart {CHART}: no valid evidence: there is no summary (release policy: assurance verified)"
     ]
 

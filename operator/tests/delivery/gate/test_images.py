@@ -21,8 +21,8 @@ FOREIGN = "docker.io/library/busybox@sha256:" + "2" * 64
 
 @pytest.fixture(scope="module")
 def bridge(installation: Installation) -> Iterator[Published]:
-    with published_bridge(installation, "0.11.0") as found:
-        yield found
+    with published_bridge(installation, "0.11.0") as with_image:
+        yield with_image
 
 
 @pytest.fixture

@@ -32,23 +32,23 @@ HEARING = {"bridge": {"in": [{"name": POSE}]}}
 
 
 def test_what_another_scope_says_is_heard_with_the_consent_of_both() -> None:
-    found = proposal({}, files(replace(BRIDGE, plan=PLAN, values=HEARING)), message())
-    assert proposal_checks.judge(found, TIP, with_consents("manager", "other")).accepted
-    assert proposal_checks.judge(found, TIP, RULES).accepted, "one manager has no borders"
+    proposed = proposal({}, files(replace(BRIDGE, plan=PLAN, values=HEARING)), message())
+    assert proposal_checks.judge(proposed, TIP, with_consents("manager", "other")).accepted
+    assert proposal_checks.judge(proposed, TIP, RULES).accepted, "one manager has no borders"
     for scopes, lacking in ((("manager",), "other"), (("other",), "manager")):
-        [problem] = proposal_checks.judge(found, TIP, with_consents(*scopes)).problems
+        [problem] = proposal_checks.judge(proposed, TIP, with_consents(*scopes)).problems
         assert problem.startswith(f"releases/cloud-0/bridge.yaml: spec.values.bridge.in[0]: topic {POSE} is said by ")
         assert f"needs the consent of both, and main lacks {path_of(lacking)} " in problem
         shown("gate", problem, "heard-over-a-border")
-    person = proposal_checks.judge_person(found, with_consents("manager"))
+    person = proposal_checks.judge_person(proposed, with_consents("manager"))
     assert "needs the consent of both" in "\n".join(person.problems)
 
 
 def test_what_stands_on_main_without_consent_holds_nothing_else_up() -> None:
     old = replace(BRIDGE, values=HEARING)
     gone = replace(BRIDGE, plan=PLAN, values={"bridge": {"out": []}})
-    found = proposal(files(old), files(gone), message())
-    assert proposal_checks.judge(found, TIP, with_consents()).accepted
+    proposed = proposal(files(old), files(gone), message())
+    assert proposal_checks.judge(proposed, TIP, with_consents()).accepted
     withdrawn = proposal({**files(old), **CONSENTS}, files(old), "Withdraw\n")
     assert proposal_checks.judge_person(withdrawn, with_consents("manager", "other")).accepted
 
@@ -75,8 +75,8 @@ WRONG_CONSENTS = {
 @pytest.mark.parametrize("case", WRONG_CONSENTS)
 def test_a_wrong_consent_is_named(case: str) -> None:
     path, text, words = WRONG_CONSENTS[case]
-    found = proposal_checks.judge_person(proposal({}, {path: text}, "Agree\n"), with_consents())
-    assert words in "\n".join(found.problems)
+    judgement = proposal_checks.judge_person(proposal({}, {path: text}, "Agree\n"), with_consents())
+    assert words in "\n".join(judgement.problems)
 
 
 def test_a_consent_is_peoples() -> None:

@@ -63,19 +63,19 @@ def changed(clone: Clone) -> tuple[pygit2.Commit, Mapping[str, str | None]]:
     assert isinstance(newest, pygit2.Commit)
     deltas = newest.parents[0].tree.diff_to_tree(newest.tree).deltas
     paths = [delta.new_file.path for delta in deltas]
-    found = {path: newest.tree[path].data.decode() if path in newest.tree else None for path in paths}
-    return newest, found
+    texts = {path: newest.tree[path].data.decode() if path in newest.tree else None for path in paths}
+    return newest, texts
 
 
 def merged_as(clone: Clone, before: str, head: str, changes: Mapping[str, str | None]) -> pygit2.Commit:
     """Main's tip, which joins `before` and the approved head and changes that alone, as far as main did not have it."""
-    newest, found = changed(clone)
+    newest, texts = changed(clone)
     assert [str(parent) for parent in newest.parent_ids] == [before, head]
     tree = newest.parents[0].tree
-    assert found == {
+    assert texts == {
         path: text for path, text in changes.items() if path not in tree or tree[path].data.decode() != text
     }
-    assert found
+    assert texts
     return newest
 
 

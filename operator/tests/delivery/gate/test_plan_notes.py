@@ -62,11 +62,11 @@ def test_closing_words_become_the_note_of_their_commit_once(
     installation: Installation, gate: RunningGate, writer: NoteWriter
 ) -> None:
     number, commit, plan = merged(installation, "noted")
-    found = facts(commit, plan)
-    assert say(installation, "manager", number, outcome_comment(found)) == 201
+    outcome = facts(commit, plan)
+    assert say(installation, "manager", number, outcome_comment(outcome)) == 201
     writer.commented(number)
     writer.round(resync=False)
-    assert note(installation, commit) == note_text(found) + "\n"
+    assert note(installation, commit) == note_text(outcome) + "\n"
     assert writer.written == 1
     writer.round(resync=True)  # what other tests have closed before gets its note now
     written = writer.written

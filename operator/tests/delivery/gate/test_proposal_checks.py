@@ -81,11 +81,11 @@ REFERENCE = ChartReference("bridge", "0.1.0", DIGEST)
 
 
 def files(*releases: Release) -> dict[str, str]:
-    found = {release.path: write_release(release) for release in releases}
+    texts = {release.path: write_release(release) for release in releases}
     for release in releases:
         source = Source(release.namespace, release.chart, release.digest, f"{URL}/{release.chart}")
-        found[source.path] = write_source(source)
-    return found
+        texts[source.path] = write_source(source)
+    return texts
 
 
 def message(*causes: TaskCause, **changes: Any) -> str:
@@ -292,15 +292,19 @@ def test_a_lower_term_is_refused_before_anything_else() -> None:
     later = replace(RULES, last_term=TERM + 1)
     words = "another process of this manager leads now"
     for tip in (TIP, "b" * 40):
-        found = proposal_checks.judge(good, tip, later)
-        assert (found.stale, len(found.problems)) == (False, 1)
-        assert f"RobotKube-Term: {TERM} is lower than {TERM + 1}, manager's last on main: {words}" in found.problems[0]
+        judgement = proposal_checks.judge(good, tip, later)
+        assert (judgement.stale, len(judgement.problems)) == (False, 1)
+        assert (
+            f"RobotKube-Term: {TERM} is lower than {TERM + 1}, manager's last on main: {words}" in judgement.problems[0]
+        )
     assert proposal_checks.judge(good, TIP, replace(RULES, last_term=TERM)).accepted
 
 
 def test_a_plan_in_the_name_of_another_manager_is_refused() -> None:
-    found = proposal_checks.judge(proposal({}, files(replace(BRIDGE, plan=PLAN)), message(manager="other")), TIP, RULES)
-    assert found.problems == ("RobotKube-Manager: 'other' must be the account that proposes, 'manager'",)
+    judgement = proposal_checks.judge(
+        proposal({}, files(replace(BRIDGE, plan=PLAN)), message(manager="other")), TIP, RULES
+    )
+    assert judgement.problems == ("RobotKube-Manager: 'other' must be the account that proposes, 'manager'",)
 
 
 BROKEN = {**files(BRIDGE), "releases/cloud-0/broken.yaml": "a: ["}
@@ -318,8 +322,8 @@ def test_while_main_is_broken_only_its_repair_is_taken() -> None:
     assert plan.problems == (
         "main is broken (releases/cloud-0/broken.yaml): a plan with RobotKube-Cause: repair comes first",
     )
-    found = proposal_checks.judge(proposal(BROKEN, files(BRIDGE), repair_message()), TIP, REPAIRING)
-    assert (found.accepted, found.repair) == (True, True)
+    judgement = proposal_checks.judge(proposal(BROKEN, files(BRIDGE), repair_message()), TIP, REPAIRING)
+    assert (judgement.accepted, judgement.repair) == (True, True)
     more = proposal_checks.judge(proposal(BROKEN, {**files(BRIDGE), **files(new)}, repair_message()), TIP, REPAIRING)
     assert not more.repair
     assert "releases/cloud-0/other.yaml: a repair brings back what main last had" in "\n".join(more.problems)
@@ -332,19 +336,21 @@ def test_while_main_is_broken_only_its_repair_is_taken() -> None:
 def test_a_repair_in_a_namespace_of_others_is_theirs() -> None:
     broken = {**files(BRIDGE), "releases/edge-0/broken.yaml": "a: ["}
     rules = replace(RULES, repair={"releases/edge-0/broken.yaml": None})
-    found = proposal_checks.judge(proposal(broken, files(BRIDGE), repair_message()), TIP, rules)
-    assert "'edge-0' is not a namespace that account manager may touch" in "\n".join(found.problems)
+    judgement = proposal_checks.judge(proposal(broken, files(BRIDGE), repair_message()), TIP, rules)
+    assert "'edge-0' is not a namespace that account manager may touch" in "\n".join(judgement.problems)
 
 
 def test_an_irregular_file_is_named() -> None:
-    found = replace(proposal({}, files(replace(BRIDGE, plan=PLAN)), message()), irregular=("releases/cloud-0/x.yaml",))
-    assert "releases/cloud-0/x.yaml: not an ordinary text file" in problems(found)
+    proposed = replace(
+        proposal({}, files(replace(BRIDGE, plan=PLAN)), message()), irregular=("releases/cloud-0/x.yaml",)
+    )
+    assert "releases/cloud-0/x.yaml: not an ordinary text file" in problems(proposed)
 
 
 def judged(catalogue: Catalogue, release: Release = BRIDGE, **changes: Any) -> str:
     """The problems of a new release under another catalogue."""
-    found = proposal({}, files(replace(release, plan=PLAN)), message(**changes))
-    return "\n".join(proposal_checks.judge(found, TIP, replace(RULES, catalogue=catalogue)).problems)
+    proposed = proposal({}, files(replace(release, plan=PLAN)), message(**changes))
+    return "\n".join(proposal_checks.judge(proposed, TIP, replace(RULES, catalogue=catalogue)).problems)
 
 
 def with_version(**changes: Any) -> Catalogue:
@@ -368,9 +374,9 @@ def test_without_assurance_evidence_is_none_everywhere() -> None:
 
 def test_a_chart_without_a_schema_is_refused_where_evidence_is_asked_for() -> None:
     rules = replace(RULES, schema=lambda chart, version: None)
-    found = proposal({}, files(replace(BRIDGE, plan=PLAN)), message())
+    proposed = proposal({}, files(replace(BRIDGE, plan=PLAN)), message())
     assert "has no charts/bridge/0.1.0.schema.json to check the values by; submit the chart again" in "\n".join(
-        proposal_checks.judge(found, TIP, rules).problems
+        proposal_checks.judge(proposed, TIP, rules).problems
     )
 
 
@@ -384,8 +390,8 @@ def test_values_are_laid_on_the_charts_own_as_helm_does() -> None:
 
 
 def of_person(before: dict[str, str], after: dict[str, str]) -> str:
-    found = proposal_checks.judge_person(proposal(before, after, "Correct it\n"), RULES)
-    return "\n".join(found.problems)
+    judgement = proposal_checks.judge_person(proposal(before, after, "Correct it\n"), RULES)
+    return "\n".join(judgement.problems)
 
 
 INITIAL = "add:\n- {application: recording, agents: [cloud-0], parameters: {seconds: 3}}\nremove: []\n"
@@ -444,10 +450,10 @@ def test_the_merge_policy_cannot_be_removed() -> None:
 def test_where_main_changed_the_same_files_the_branch_is_updated_first_and_still_checked() -> None:
     behind = replace(proposal({}, {"policies/x.yaml": "a: ["}, "x\n"), parents=("b" * 40,))
     assert not proposal_checks.judge_person(behind, RULES).stale
-    found = proposal_checks.judge_person(replace(behind, overlaps=("policies/x.yaml",)), RULES)
-    assert found.stale
-    assert found.problems
-    assert not found.accepted
+    judgement = proposal_checks.judge_person(replace(behind, overlaps=("policies/x.yaml",)), RULES)
+    assert judgement.stale
+    assert judgement.problems
+    assert not judgement.accepted
 
 
 HEAD = "c" * 40

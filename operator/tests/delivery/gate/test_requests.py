@@ -92,9 +92,9 @@ def sender(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sender]:
     publication = build_publication(configuration, folder / "work", gate, schemas, renderer)
     server = build_server(configuration, gate, publication, build_notes(configuration, folder / "work"))
     server.start()
-    found = Sender(f"http://127.0.0.1:{server.port}", folder)
-    yield found
-    found.close()
+    connected = Sender(f"http://127.0.0.1:{server.port}", folder)
+    yield connected
+    connected.close()
     server.stop()
     schemas.close()
 

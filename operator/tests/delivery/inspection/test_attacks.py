@@ -26,8 +26,8 @@ from tests.stages.delivery.inspected_node import (
 
 def _words(reason: str, item: dict[str, Any], runs: Any = (), **changes: Any) -> str:
     """The message of the one stranger of that reason on a node with this pod."""
-    found = strangers_on(pods(item), running(*runs), {}, permitted(**changes), NOW)
-    (message,) = [one.message for one in found if one.reason == reason]
+    strangers = strangers_on(pods(item), running(*runs), {}, permitted(**changes), NOW)
+    (message,) = [one.message for one in strangers if one.reason == reason]
     return message
 
 

@@ -252,6 +252,6 @@ def test_while_the_forge_is_away_the_last_list_counts(stage: Stage) -> None:
         stage.reader.refresh()
     permitted = stage.reader.permitted()
     assert permitted is not None
-    found = strangers_on(pods(pod_object(image=FOREIGN_IMAGE)), (), {}, permitted, NOW)
-    (message,) = [one.message for one in found if one.reason == "ForeignImage"]
+    strangers = strangers_on(pods(pod_object(image=FOREIGN_IMAGE)), (), {}, permitted, NOW)
+    (message,) = [one.message for one in strangers if one.reason == "ForeignImage"]
     shown("nodes", message, "verifier-off")

@@ -115,16 +115,16 @@ def test_a_way_to_the_machine_is_named(namespace: str) -> None:
         ({"volumes": [{"name": "share", "nfs": {"server": "files", "path": "/"}}]}, "volume share (nfs)"),
     ]
     for spec, words in ways:
-        found = _seen(pod_object(namespace, spec=spec), elsewhere=True)
-        assert [one.message for one in found if one.reason == "WayToTheMachine" and words in one.message], words
+        seen = _seen(pod_object(namespace, spec=spec), elsewhere=True)
+        assert [one.message for one in seen if one.reason == "WayToTheMachine" and words in one.message], words
     privileged = pod_object(namespace)
     privileged["spec"]["containers"][0]["securityContext"] = {
         "privileged": True,
         "procMount": "Unmasked",
         "capabilities": {"add": ["SYS_ADMIN"]},
     }
-    found = _seen(privileged, elsewhere=True)
-    (one,) = [one for one in found if one.reason == "WayToTheMachine"]
+    seen = _seen(privileged, elsewhere=True)
+    (one,) = [one for one in seen if one.reason == "WayToTheMachine"]
     words = ("container detector is privileged", "container detector has procMount Unmasked")
     assert ", ".join([*words, "container detector has SYS_ADMIN"]) in one.message
 

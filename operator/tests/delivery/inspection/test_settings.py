@@ -44,13 +44,13 @@ def read(folder: Path, **changes: Any) -> InspectorConfiguration:
 
 
 def test_forge_namespaces_and_images_are_read(tmp_path: Path) -> None:
-    found = read(tmp_path)
-    assert found.forge.address == ForgeAddress("http://forge.example:3000")
-    assert found.forge.account == Credentials("username", "password")
-    assert (found.forge.deployment, found.forge.catalogue) == ("robotkube/deployment", "robotkube/catalogue")
-    assert found.installation.domain.of_the_platform == ("robotkube", "robotkube-gate")
-    assert (found.installation.digests, found.installation.references) == ((DIGEST,), {BY_TAG})
-    assert found.verify
+    settings = read(tmp_path)
+    assert settings.forge.address == ForgeAddress("http://forge.example:3000")
+    assert settings.forge.account == Credentials("username", "password")
+    assert (settings.forge.deployment, settings.forge.catalogue) == ("robotkube/deployment", "robotkube/catalogue")
+    assert settings.installation.domain.of_the_platform == ("robotkube", "robotkube-gate")
+    assert (settings.installation.digests, settings.installation.references) == ((DIGEST,), {BY_TAG})
+    assert settings.verify
 
 
 def test_before_main_was_read_nothing_is_claimed(tmp_path: Path) -> None:

@@ -73,10 +73,10 @@ class Peer:
 @pytest.fixture
 def peer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Peer]:
     monkeypatch.setattr(certificate_authorities, "_trusted", {})
-    found = Peer(tmp_path / "peer")
-    found.start()
-    yield found
-    found.server.stop()
+    started = Peer(tmp_path / "peer")
+    started.start()
+    yield started
+    started.server.stop()
 
 
 @contextmanager

@@ -14,10 +14,10 @@ AGENTS = [f"vehicle-{number:02}" for number in range(14)]
 
 
 def lines(caplog: pytest.LogCaptureFixture) -> list[dict[str, str]]:
-    found = [split_message(record.getMessage()) for record in caplog.records]
-    assert {event for event, _ in found} <= {"initial demand refused"}
+    split = [split_message(record.getMessage()) for record in caplog.records]
+    assert {event for event, _ in split} <= {"initial demand refused"}
     caplog.clear()
-    return [dict(fields) for _, fields in found]
+    return [dict(fields) for _, fields in split]
 
 
 def test_the_same_problem_on_many_agents_is_one_line(caplog: pytest.LogCaptureFixture) -> None:

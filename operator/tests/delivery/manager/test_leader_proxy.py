@@ -45,18 +45,18 @@ class Process:
 
 @pytest.fixture
 def leader() -> Iterator[Process]:
-    found = Process("leader")
-    found.leadership.number = 1
-    yield found
-    found.stop()
+    process = Process("leader")
+    process.leadership.number = 1
+    yield process
+    process.stop()
 
 
 @pytest.fixture
 def waiting(leader: Process) -> Iterator[Process]:
-    found = Process("waiting")
-    found.leadership.other = leader.address
-    yield found
-    found.stop()
+    process = Process("waiting")
+    process.leadership.other = leader.address
+    yield process
+    process.stop()
 
 
 def test_pages_and_questions_are_answered_by_the_leader(leader: Process, waiting: Process) -> None:

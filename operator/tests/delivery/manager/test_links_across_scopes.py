@@ -76,8 +76,8 @@ class Neighbours:
         self.go()
 
     def accepted(self) -> tuple[str, str]:
-        found: tuple[str, str] = self.north.tasks.condition(TASK, "Accepted")
-        return found
+        condition: tuple[str, str] = self.north.tasks.condition(TASK, "Accepted")
+        return condition
 
     def message(self) -> str:
         conditions = self.north.tasks.objects[TASK]["status"]["conditions"]

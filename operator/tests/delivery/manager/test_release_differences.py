@@ -26,9 +26,9 @@ KEY = "vehicle-00/mqtt-bridge"
 
 
 def told(before: Release | None, after: Release | None) -> list[tuple[str, str | None, str | None]]:
-    found = release_differences([Change("path", before, after)])
-    assert {value.release for value in found.values} <= {KEY}
-    return [(value.path, value.before, value.after) for value in found.values]
+    differences = release_differences([Change("path", before, after)])
+    assert {value.release for value in differences.values} <= {KEY}
+    return [(value.path, value.before, value.after) for value in differences.values]
 
 
 def test_each_value_that_changes_is_told_before_and_after() -> None:
@@ -50,10 +50,10 @@ def test_a_release_that_comes_or_goes_is_told_by_its_chart() -> None:
 
 def test_of_many_and_long_values_a_part_is_told_and_how_many_more_there_are() -> None:
     many = {f"v{number:03d}": "x" * 500 for number in range(VALUES_MAX + 5)}
-    found = release_differences([Change("path", BEFORE, replace(BEFORE, values={**BEFORE.values, **many}))])
-    assert (len(found.values), found.more) == (VALUES_MAX, 5)
-    assert len(found.values[0].after or "") == TEXT_CHARACTERS_MAX + 1
-    assert found.as_json()["values"][0]["release"] == KEY
+    differences = release_differences([Change("path", BEFORE, replace(BEFORE, values={**BEFORE.values, **many}))])
+    assert (len(differences.values), differences.more) == (VALUES_MAX, 5)
+    assert len(differences.values[0].after or "") == TEXT_CHARACTERS_MAX + 1
+    assert differences.as_json()["values"][0]["release"] == KEY
 
 
 def test_the_newest_plans_have_their_differences_and_what_they_wait_for() -> None:

@@ -71,8 +71,8 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[httpx.Client]:
     telemetry = ManagerTelemetry(stage.manager, stage.tasks, stage.cluster, lambda: [], "", "manager")
     server = build_server(configuration, stage.manager, tasks, None, telemetry, leads)
     server.start()
-    with http_calls.client(base_url=f"http://127.0.0.1:{server.port}", timeout=30) as found:
-        yield found
+    with http_calls.client(base_url=f"http://127.0.0.1:{server.port}", timeout=30) as connected:
+        yield connected
     server.stop()
 
 

@@ -33,12 +33,12 @@ class Images:
         self, chart: ChartReference, values: Mapping[str, Any], plan: str, release: str, namespace: str
     ) -> Sequence[str]:
         self.asked.append(f"{namespace}/{release}")
-        found = self.of.get(release, IMAGE)
-        if callable(found):
-            found = found(values)
-        if isinstance(found, Exception):
-            raise found
-        return (found,)
+        image = self.of.get(release, IMAGE)
+        if callable(image):
+            image = image(values)
+        if isinstance(image, Exception):
+            raise image
+        return (image,)
 
 
 @pytest.fixture

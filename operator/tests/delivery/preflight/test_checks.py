@@ -67,16 +67,16 @@ def pod_of(made: RenderedChart, kind: str, name: str) -> dict[str, Any]:
 
 
 def test_all_are_ok_on_a_cluster_that_can_take_the_chart() -> None:
-    found = findings(facts())
-    assert [one for one in found if one.result != OK] == []
-    assert len(found) >= 12
+    by_check = findings(facts())
+    assert [one for one in by_check if one.result != OK] == []
+    assert len(by_check) >= 12
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.name)
 def test_what_was_not_read_is_never_ok(check: Any) -> None:
     for name in check.needs:
-        found = check.finding(facts() | {name: Unread("forbidden: nobody may read it")})
-        assert (found.result, "forbidden" in found.says) == (NOT_CHECKED, True)
+        judged = check.finding(facts() | {name: Unread("forbidden: nobody may read it")})
+        assert (judged.result, "forbidden" in judged.says) == (NOT_CHECKED, True)
 
 
 class TestValues:
@@ -92,9 +92,9 @@ class TestValues:
             "  1. images.platform is empty. Give its reference.\n"
             "  2. forge.external.url is https://me:secret@forge. Give it without a path."
         )
-        found = finding("values", judgement=Judgement((), text, "--values"))
-        words = said(found)
-        assert len(found.problems) == 2
+        judged = finding("values", judgement=Judgement((), text, "--values"))
+        words = said(judged)
+        assert len(judged.problems) == 2
         assert "images.platform is empty -> Give its reference." in words
         assert "secret" not in words
 
@@ -112,8 +112,8 @@ class TestVersion:
 
     @pytest.mark.parametrize("version", ["v1.34.1+k3s1", "v1.29.0", "v1.29.0-gke.100", "1.30.2-eks-1552ad0"])
     def test_what_a_distribution_adds_to_it_says_nothing_of_its_age(self, version: str) -> None:
-        found = finding("version", version=version)
-        assert (found.result, found.says) == (OK, f"{version}; the chart asks for >=1.29.0-0")
+        judged = finding("version", version=version)
+        assert (judged.result, judged.says) == (OK, f"{version}; the chart asks for >=1.29.0-0")
 
     def test_one_that_cannot_be_compared_is_not_ok(self) -> None:
         assert finding("version", chart={"kubeVersion": "~1.30 || ~1.32"}).result == NOT_CHECKED
@@ -158,8 +158,8 @@ class TestRelease:
     DEPLOYED = HelmRevision("0.1.0", "deployed", 3)
 
     def test_the_same_version_over_itself(self) -> None:
-        found = finding("release", release=self.DEPLOYED)
-        assert (found.result, "revision 3 of robotkube is deployed" in found.says) == (OK, True)
+        judged = finding("release", release=self.DEPLOYED)
+        assert (judged.result, "revision 3 of robotkube is deployed" in judged.says) == (OK, True)
 
     def test_an_operation_that_was_broken_off(self) -> None:
         release = HelmRevision("0.1.0", "pending-upgrade", 4)
@@ -198,9 +198,9 @@ class TestRelease:
 
 class TestStorage:
     def test_no_default_class(self) -> None:
-        found = finding("storage", storage=Storage([DISKS], (), ()))
-        assert "there is no default StorageClass -> name one of disks in storage.className" in said(found)
-        [problem] = found.problems
+        judged = finding("storage", storage=Storage([DISKS], (), ()))
+        assert "there is no default StorageClass -> name one of disks in storage.className" in said(judged)
+        [problem] = judged.problems
         assert "volume claim robotkube/forge" in problem.where, "claims with the same problem stand together"
 
     def test_a_class_that_is_not_there(self) -> None:
@@ -225,8 +225,8 @@ class TestStorage:
         made = rendering()
         for item in made.of_kind("PersistentVolumeClaim"):
             item["spec"]["accessModes"] = ["ReadWriteMany"]  # type: ignore[index]
-        found = finding("storage", rendering=made)
-        assert (found.result, "whether class local gives ReadWriteMany" in found.says) == (NOT_CHECKED, True)
+        judged = finding("storage", rendering=made)
+        assert (judged.result, "whether class local gives ReadWriteMany" in judged.says) == (NOT_CHECKED, True)
 
     def test_a_claim_that_is_there_with_other_modes(self) -> None:
         claim = {
@@ -247,10 +247,10 @@ class TestPodSecurity:
         made = rendering()
         pod_of(made, "Deployment", "broker")["hostNetwork"] = True
         namespaces = {"robotkube": {"pod-security.kubernetes.io/enforce": level}}
-        found = finding("pod-security", rendering=made, namespaces=namespaces)
-        assert found.result == result
+        judged = finding("pod-security", rendering=made, namespaces=namespaces)
+        assert judged.result == result
         if result == FAILED:
-            assert "Deployment robotkube/broker: hostNetwork is true" in said(found)
+            assert "Deployment robotkube/broker: hostNetwork is true" in said(judged)
 
     @pytest.mark.parametrize(("level", "result"), [("restricted", FAILED), ("baseline", OK), ("", NOT_CHECKED)])
     def test_a_pod_without_seccomp(self, level: str, result: str) -> None:
@@ -280,21 +280,21 @@ class TestAdmission:
         others = {"matchLabels": {"injection": "enabled"}}
         assert self.found("MutatingWebhookConfiguration", namespaceSelector=others).result == OK
         assert self.found("MutatingWebhookConfiguration", objectSelector=ours).result == OK
-        found = self.found("MutatingWebhookConfiguration", namespaceSelector=chosen)
-        assert (found.result, "and what they say is not known" in found.says) == (NOT_CHECKED, True), (
+        judged = self.found("MutatingWebhookConfiguration", namespaceSelector=chosen)
+        assert (judged.result, "and what they say is not known" in judged.says) == (NOT_CHECKED, True), (
             "the platform's own"
         )
 
     def test_one_that_judges_alone_is_not_known(self) -> None:
-        found = self.found("ValidatingWebhookConfiguration")
-        assert (found.result, "ValidatingWebhookConfiguration mesh" in found.says) == (NOT_CHECKED, True)
+        judged = self.found("ValidatingWebhookConfiguration")
+        assert (judged.result, "ValidatingWebhookConfiguration mesh" in judged.says) == (NOT_CHECKED, True)
 
     @pytest.mark.parametrize(("resource", "result"), [("clusterroles", NOT_CHECKED), ("namespaces", OK)])
     def test_objects_of_the_whole_cluster_are_judged_wherever_a_webhook_looks(self, resource: str, result: str) -> None:
         rule = {"operations": ["*"], "apiGroups": ["*"], "resources": [resource]}
         elsewhere = {"matchLabels": {"team": "payments"}}
-        found = self.found("ValidatingWebhookConfiguration", rules=[rule], namespaceSelector=elsewhere)
-        assert found.result == result
+        judged = self.found("ValidatingWebhookConfiguration", rules=[rule], namespaceSelector=elsewhere)
+        assert judged.result == result
 
     @pytest.mark.parametrize(("action", "result"), [("Deny", NOT_CHECKED), ("Warn", OK)])
     def test_policies_count_when_they_refuse(self, action: str, result: str) -> None:
@@ -306,10 +306,10 @@ class TestAdmission:
 
     def test_policies_from_files_are_not_said_to_be_none(self) -> None:
         """The embedded cluster guards all namespaces by such policies, and admission.enabled is false there."""
-        found = finding("admission")
-        assert found.result == OK
-        assert "not written by the chart here (admission.enabled); 0 judges of others" in found.says
-        assert found.says.endswith("policies that the API server reads from files it shows to nobody")
+        judged = finding("admission")
+        assert judged.result == OK
+        assert "not written by the chart here (admission.enabled); 0 judges of others" in judged.says
+        assert judged.says.endswith("policies that the API server reads from files it shows to nobody")
 
     def test_the_platforms_own_are_there_once_it_is_installed(self) -> None:
         settings = dict(facts()["settings"]) | {"admission": {"enabled": True}}
@@ -328,8 +328,8 @@ class TestAgents:
         settings = facts()["settings"]
         reserved = {**settings, "agents": [*settings["agents"], {"name": "vehicle-16", "reserved": True}]}
         for nodes in (NODES, [*NODES, node("vehicle-16", "edge")]):
-            found = finding("agents", settings=reserved, nodes=nodes)
-            assert (found.result, found.says.partition(",")[0]) == (OK, "4 agents in the values (1 reserved)")
+            judged = finding("agents", settings=reserved, nodes=nodes)
+            assert (judged.result, judged.says.partition(",")[0]) == (OK, "4 agents in the values (1 reserved)")
 
     def test_a_node_of_nobody(self) -> None:
         assert "names no agent of the values -> declare it" in said(finding("agents", nodes=[*NODES, node("stray")]))
@@ -360,9 +360,9 @@ class TestAgents:
         """Since 1.35 it does not start there by itself, as on the embedded cluster, where it was told."""
         own = node("vehicle-00")
         own["status"]["nodeInfo"] = {"kubeletVersion": version}
-        found = finding("control-groups", control_groups={"vehicle-00": 1}, nodes=[own])
-        assert found.result == result
-        assert ("failCgroupV1: false" in found.says) == (result == OK)
+        judged = finding("control-groups", control_groups={"vehicle-00": 1}, nodes=[own])
+        assert judged.result == result
+        assert ("failCgroupV1: false" in judged.says) == (result == OK)
 
     def test_a_node_of_the_platform_is_no_agents(self) -> None:
         assert finding("agents", nodes=[*NODES, node("platform-0", "platform")]).result == OK
@@ -436,9 +436,9 @@ class TestArgoCd:
         present = argo_cd(**{part: part_of_argo_cd(part, "registry.example/argocd@sha256:12") for part in PARTS})
         for workload in present.workloads:
             workload["metadata"]["labels"]["app.kubernetes.io/version"] = label
-        found = finding("argocd", argocd=present)
-        assert found.result == result
-        assert ("version 3.5 (label app.kubernetes.io/version) in namespace argocd" in found.says) == (result == OK)
+        judged = finding("argocd", argocd=present)
+        assert judged.result == result
+        assert ("version 3.5 (label app.kubernetes.io/version) in namespace argocd" in judged.says) == (result == OK)
 
 
 class TestRegistries:
@@ -455,11 +455,11 @@ class TestRegistries:
         ],
     )
     def test_what_it_answers(self, answer: RegistryAnswer, result: str) -> None:
-        found = finding("registries", registries={"registry.example": answer})
-        assert found.result == result
-        assert "account=me" not in found.says
+        judged = finding("registries", registries={"registry.example": answer})
+        assert judged.result == result
+        assert "account=me" not in judged.says
         if result == FAILED:
-            said(found)
+            said(judged)
 
     def test_hosts_of_images(self) -> None:
         assert host_of("mongo:8") == host_of("library/mongo:8") == "docker.io"
@@ -470,8 +470,8 @@ class TestRegistries:
 
 def test_problems_that_differ_in_their_places_alone_are_one() -> None:
     same = [Problem("what", f"place {number}", "why", "fix") for number in range(8)]
-    found = gathered([*same, same[0], Problem("else", "place 1", "why", "fix")])
-    assert [one.where for one in found] == [
+    problems = gathered([*same, same[0], Problem("else", "place 1", "why", "fix")])
+    assert [one.where for one in problems] == [
         ", ".join(f"place {number}" for number in range(6)) + " and 2 more",
         "place 1",
     ]

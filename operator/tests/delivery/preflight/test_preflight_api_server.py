@@ -146,8 +146,13 @@ def test_helm_installs_the_chart_with_the_rights_that_are_named(cluster: Cluster
     for right in needed.own.union(*needed.given.values()):
         verbs[right.group, right.resource, right.name].add(right.verb)
     rules = [
-        {"verbs": sorted(found), "apiGroups": [group], "resources": [resource], "resourceNames": [name] if name else []}
-        for (group, resource, name), found in verbs.items()
+        {
+            "verbs": sorted(allowed),
+            "apiGroups": [group],
+            "resources": [resource],
+            "resourceNames": [name] if name else [],
+        }
+        for (group, resource, name), allowed in verbs.items()
     ]
     kubeconfig = account(cluster, "installer", rules)
     _, checks = run(kubeconfig)

@@ -82,9 +82,9 @@ def kubelets(cluster: Cluster, state: State) -> Iterator[list[str]]:
                         )
 
     def status(name: str, on: str) -> Mapping[str, Any]:
-        found = state(name, on)
-        container = {"name": "probe", "image": "x", "imageID": "", "ready": False, "restartCount": 0, "state": found}
-        phase = "Running" if "running" in found else "Succeeded" if "terminated" in found else "Pending"
+        outcome = state(name, on)
+        container = {"name": "probe", "image": "x", "imageID": "", "ready": False, "restartCount": 0, "state": outcome}
+        phase = "Running" if "running" in outcome else "Succeeded" if "terminated" in outcome else "Pending"
         address = {"podIP": "10.0.0.1", "podIPs": [{"ip": "10.0.0.1"}]}
         return {"phase": phase, "containerStatuses": [container], **address}
 

@@ -39,29 +39,29 @@ def said(found: ClusterFinding) -> str:
 
 @pytest.mark.parametrize("check", [one.name for one in PROBE_CHECKS])
 def test_every_check_is_ok_where_nothing_is_wrong(check: str) -> None:
-    found = probe_finding(check, probed())
-    assert (found.result, found.problems) == (OK, ()), found
+    judged = probe_finding(check, probed())
+    assert (judged.result, judged.problems) == (OK, ()), judged
 
 
 @pytest.mark.parametrize("check", [one.name for one in PROBE_CHECKS])
 def test_no_check_is_ok_without_a_probe(check: str) -> None:
-    found = probe_finding(check, Unread("nothing was started: the account may not create namespaces in the cluster"))
-    assert found.result == NOT_CHECKED
-    assert "may not create namespaces" in found.says
+    judged = probe_finding(check, Unread("nothing was started: the account may not create namespaces in the cluster"))
+    assert judged.result == NOT_CHECKED
+    assert "may not create namespaces" in judged.says
 
 
 @pytest.mark.parametrize("check", ["disks", "names", "clocks", "broker", "network-policies"])
 def test_no_check_is_ok_without_the_answer_of_each_node(check: str) -> None:
-    found = probe_finding(check, probed(nodes=outcomes(vehicle_01=NodeOutcome(True, "", NO_POD))))
-    assert found.result == NOT_CHECKED
-    assert "Node vehicle-01: no pod of the probe runs there" in found.says
+    judged = probe_finding(check, probed(nodes=outcomes(vehicle_01=NodeOutcome(True, "", NO_POD))))
+    assert judged.result == NOT_CHECKED
+    assert "Node vehicle-01: no pod of the probe runs there" in judged.says
 
 
 @pytest.mark.parametrize("check", ["pull", "disks", "names", "clocks", "network-policies"])
 def test_no_check_is_ok_of_a_node_that_is_not_asked(check: str) -> None:
-    found = probe_finding(check, probed(unasked={"edge-0": "it is not Ready (see check agents-ready)"}))
-    assert found.result == NOT_CHECKED
-    assert "Node edge-0: it is not Ready" in found.says
+    judged = probe_finding(check, probed(unasked={"edge-0": "it is not Ready (see check agents-ready)"}))
+    assert judged.result == NOT_CHECKED
+    assert "Node edge-0: it is not Ready" in judged.says
 
 
 def test_an_image_that_a_node_does_not_get() -> None:
@@ -73,9 +73,9 @@ def test_an_image_that_needs_a_secret_is_not_known() -> None:
     made = rendering()
     for item in made.of_kind("Deployment"):
         item["spec"]["template"]["spec"]["imagePullSecrets"] = [{"name": "registry"}]
-    found = probe_finding("pull", probed(nodes=outcomes(vehicle_00=NOT_PULLED)), rendering=made)
-    assert found.result == NOT_CHECKED
-    assert "Node vehicle-00 asks for imagePullSecrets, which the probe has not" in found.says
+    judged = probe_finding("pull", probed(nodes=outcomes(vehicle_00=NOT_PULLED)), rendering=made)
+    assert judged.result == NOT_CHECKED
+    assert "Node vehicle-00 asks for imagePullSecrets, which the probe has not" in judged.says
 
 
 def test_a_node_on_which_nothing_starts() -> None:
@@ -115,20 +115,20 @@ def test_a_wrong_clock_is_named_also_when_all_were_compared_with_it() -> None:
     nodes = answered("cloud-0", clock_ahead=0.0)
     for name in ("vehicle-00", "vehicle-01"):
         nodes |= {name: answered(name, clock_ahead=0.3)[name]}
-    found = probe_finding("clocks", probed(nodes=nodes))
-    assert [one.where for one in found.problems] == ["Node cloud-0"]
-    assert "300 ms ahead of the middle" in said(found)
+    judged = probe_finding("clocks", probed(nodes=nodes))
+    assert [one.where for one in judged.problems] == ["Node cloud-0"]
+    assert "300 ms ahead of the middle" in said(judged)
 
 
 def test_a_clock_that_is_known_too_roughly_is_not_known() -> None:
-    found = probe_finding("clocks", probed(nodes=answered("vehicle-00", clock_ahead=0.09, clock_within=0.05)))
-    assert found.result == NOT_CHECKED
-    assert "clock of Node vehicle-00: 86 ms, known within 50 ms alone" in found.says
+    judged = probe_finding("clocks", probed(nodes=answered("vehicle-00", clock_ahead=0.09, clock_within=0.05)))
+    assert judged.result == NOT_CHECKED
+    assert "clock of Node vehicle-00: 86 ms, known within 50 ms alone" in judged.says
 
 
 def test_a_clock_that_was_not_read_is_not_known() -> None:
-    found = probe_finding("clocks", probed(nodes=answered("vehicle-00", clock_words="timed out")))
-    assert (found.result, "Node vehicle-00: timed out" in found.says) == (NOT_CHECKED, True)
+    judged = probe_finding("clocks", probed(nodes=answered("vehicle-00", clock_words="timed out")))
+    assert (judged.result, "Node vehicle-00: timed out" in judged.says) == (NOT_CHECKED, True)
 
 
 def test_an_agent_that_does_not_reach_the_broker() -> None:
@@ -145,9 +145,9 @@ def test_a_broker_of_ones_own_that_an_agent_does_not_reach() -> None:
 
 def test_a_broker_that_is_not_installed_yet_is_not_known() -> None:
     absent = TARGET.__class__(TARGET.namespace, IMAGE, (API,), ("", 0))
-    found = probe_finding("broker", probed(target=absent), installed=False)
-    assert found.result == NOT_CHECKED
-    assert "absent: the broker is the platform's own, which the chart makes" in found.says
+    judged = probe_finding("broker", probed(target=absent), installed=False)
+    assert judged.result == NOT_CHECKED
+    assert "absent: the broker is the platform's own, which the chart makes" in judged.says
 
 
 def test_a_network_policy_that_nobody_enforces() -> None:
@@ -155,8 +155,8 @@ def test_a_network_policy_that_nobody_enforces() -> None:
     text = said(probe_finding("network-policies", leaking, settings=POLICIES))
     assert "Node vehicle-01: its pods are reached at port 8081, which a NetworkPolicy denies" in text
     assert "networkPolicies.enabled: false" in text
-    found = probe_finding("network-policies", leaking, settings=NO_POLICIES)
-    assert (found.result, "2 of 3 Nodes keep a policy; the values make none" in found.says) == (OK, True)
+    judged = probe_finding("network-policies", leaking, settings=NO_POLICIES)
+    assert (judged.result, "2 of 3 Nodes keep a policy; the values make none" in judged.says) == (OK, True)
 
 
 def test_pods_that_do_not_reach_each_other() -> None:
@@ -179,6 +179,6 @@ def test_a_cluster_without_a_node_that_is_ready() -> None:
 @pytest.mark.parametrize(("installed", "broker"), [(True, (BROKER, 8883)), (False, ("", 0))])
 def test_the_target_follows_from_the_rendering(installed: bool, broker: tuple[str, int]) -> None:
     settings: dict[str, Any] = {"clusterDomain": "cluster.local"}
-    found = probe_target(rendering(), settings, "robotkube-probe", installed=installed)
-    assert (found.image, found.broker) == (IMAGE, broker)
-    assert list(found.names) == [API, *filter(None, broker[:1])]
+    target = probe_target(rendering(), settings, "robotkube-probe", installed=installed)
+    assert (target.image, target.broker) == (IMAGE, broker)
+    assert list(target.names) == [API, *filter(None, broker[:1])]

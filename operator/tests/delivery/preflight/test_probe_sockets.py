@@ -22,8 +22,8 @@ HERE = "127.0.0.1"
 
 def free_ports() -> tuple[int, int]:
     with contextlib.ExitStack() as stack:
-        found = [stack.enter_context(socket.create_server((HERE, 0))).getsockname()[1] for _ in range(2)]
-    return found[0], found[1]
+        numbers = [stack.enter_context(socket.create_server((HERE, 0))).getsockname()[1] for _ in range(2)]
+    return numbers[0], numbers[1]
 
 
 @pytest.fixture
@@ -53,22 +53,27 @@ def no_sleep(seconds: float) -> None:
 
 def test_a_pod_finds_out_everything(served: tuple[int, int], tmp_path: Path) -> None:
     questions = ProbeQuestions(HERE, HERE, ("localhost",), HERE, served[0])
-    found = answer(questions, served, no_sleep, {"pods": str(tmp_path)})
-    assert (found.names, found.clock_words, found.open_words, found.broker_words) == ({"localhost": ""}, "", "", "")
-    assert abs(found.clock_ahead) <= found.clock_within + 0.001 < 1
-    assert found.closed, "nobody enforces a policy between processes of one machine"
-    assert 0 < found.disks["pods"].free <= found.disks["pods"].total
+    answers = answer(questions, served, no_sleep, {"pods": str(tmp_path)})
+    assert (answers.names, answers.clock_words, answers.open_words, answers.broker_words) == (
+        {"localhost": ""},
+        "",
+        "",
+        "",
+    )
+    assert abs(answers.clock_ahead) <= answers.clock_within + 0.001 < 1
+    assert answers.closed, "nobody enforces a policy between processes of one machine"
+    assert 0 < answers.disks["pods"].free <= answers.disks["pods"].total
 
 
 def test_a_pod_says_what_it_does_not_reach(tmp_path: Path) -> None:
     ports = free_ports()
     questions = ProbeQuestions(HERE, HERE, ("nowhere.invalid",), HERE, ports[0])
-    found = answer(questions, ports, no_sleep, {"pods": str(tmp_path)})
-    assert "Connection refused" in found.clock_words
-    assert "Connection refused" in found.open_words
-    assert "Connection refused" in found.broker_words
-    assert not found.closed
-    assert found.names["nowhere.invalid"]
+    answers = answer(questions, ports, no_sleep, {"pods": str(tmp_path)})
+    assert "Connection refused" in answers.clock_words
+    assert "Connection refused" in answers.open_words
+    assert "Connection refused" in answers.broker_words
+    assert not answers.closed
+    assert answers.names["nowhere.invalid"]
 
 
 def test_the_program_writes_its_answer_as_the_last_words_of_its_container(

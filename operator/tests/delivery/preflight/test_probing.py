@@ -90,27 +90,27 @@ class Stage:
 
 def test_every_node_answers_and_nothing_stays() -> None:
     stage = Stage(Cluster())
-    found = stage.probing.run()
-    assert {name: node.answer for name, node in found.nodes.items()} == dict.fromkeys(NODES, answer())
-    assert (found.left, stage.cluster.present, stage.is_shielded) == ("", False, True)
+    probed = stage.probing.run()
+    assert {name: node.answer for name, node in probed.nodes.items()} == dict.fromkeys(NODES, answer())
+    assert (probed.left, stage.cluster.present, stage.is_shielded) == ("", False, True)
     assert [pod["spec"]["nodeName"] for pod in stage.cluster.made.values()] == [*NODES, *NODES]
 
 
 def test_each_pod_asks_its_neighbour_and_all_ask_one_clock() -> None:
     stage = Stage(Cluster())
-    found = stage.probing.run()
+    probed = stage.probing.run()
     questions = [stage.cluster.questions(f"ask-{number}") for number in range(3)]
     assert [one.clock for one in questions] == ["10.0.0.0"] * 3
     assert [one.neighbour for one in questions] == ["10.0.0.1", "10.0.0.2", "10.0.0.0"]
-    assert [found.nodes[name].neighbour for name in NODES] == ["vehicle-00", "vehicle-01", "cloud-0"]
+    assert [probed.nodes[name].neighbour for name in NODES] == ["vehicle-00", "vehicle-01", "cloud-0"]
 
 
 def test_the_pods_of_a_node_without_the_image_do_not_hold_up_the_others() -> None:
     stage = Stage(Cluster(serve_1=PULL))
-    found = stage.probing.run()
-    assert found.nodes["vehicle-00"].pulled is False
-    assert found.nodes["vehicle-00"].words == "ImagePullBackOff: Back-off pulling image"
-    assert isinstance(found.nodes["vehicle-00"].answer, Unread)
+    probed = stage.probing.run()
+    assert probed.nodes["vehicle-00"].pulled is False
+    assert probed.nodes["vehicle-00"].words == "ImagePullBackOff: Back-off pulling image"
+    assert isinstance(probed.nodes["vehicle-00"].answer, Unread)
     assert "ask-1" not in stage.cluster.made
     assert stage.cluster.questions("ask-0").neighbour == "10.0.0.2"
     assert stage.seconds == 0
@@ -122,22 +122,22 @@ def test_a_pod_that_hangs_is_waited_for_no_longer_than_said_and_named_with_its_e
     new = {"type": "Warning", "lastTimestamp": "1", "reason": "FailedMount", "message": "no volume"}
     cluster.event = [{**one, "involvedObject": {"name": "serve-1"}} for one in (new, old)]
     stage = Stage(cluster)
-    found = stage.probing.run()
+    probed = stage.probing.run()
     assert START_SECONDS_MAX <= stage.seconds < START_SECONDS_MAX + 1
-    assert (found.nodes["vehicle-00"].pulled, found.nodes["vehicle-00"].words) == (None, "FailedMount: no volume")
+    assert (probed.nodes["vehicle-00"].pulled, probed.nodes["vehicle-00"].words) == (None, "FailedMount: no volume")
 
 
 def test_a_pod_that_never_answers_is_waited_for_no_longer_than_said() -> None:
     stage = Stage(Cluster(ask_2={"running": {}}))
-    found = stage.probing.run()
+    probed = stage.probing.run()
     assert ASK_SECONDS_MAX <= stage.seconds < ASK_SECONDS_MAX + 1
-    assert found.nodes["vehicle-01"].answer == Unread("its pod gave no answer: it did not end within 14 s")
+    assert probed.nodes["vehicle-01"].answer == Unread("its pod gave no answer: it did not end within 14 s")
 
 
 def test_an_image_of_a_version_before_the_probe() -> None:
     ended = {"terminated": {"reason": "StartError", "message": 'exec: "robotkube-probe": not found', "exitCode": 128}}
-    found = Stage(Cluster(ask_2=ended)).probing.run()
-    assert "ended without an answer that can be read: exec" in found.nodes["vehicle-01"].answer.why  # type: ignore[union-attr]
+    probed = Stage(Cluster(ask_2=ended)).probing.run()
+    assert "ended without an answer that can be read: exec" in probed.nodes["vehicle-01"].answer.why  # type: ignore[union-attr]
 
 
 def test_all_bounds_together_are_less_than_a_minute() -> None:

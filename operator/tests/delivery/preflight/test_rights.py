@@ -59,9 +59,9 @@ def test_missing_verbs_are_named_with_their_places() -> None:
         frozenset(ApiRight(verb, "apps", "deployments", place) for verb in ("get", "create") for place in ("a", "b")),
         {},
     )
-    found = finding("rights", rights=Reviewed(needed, needed.own))
-    assert found.result == FAILED
-    [problem] = found.problems
+    judged = finding("rights", rights=Reviewed(needed, needed.own))
+    assert judged.result == FAILED
+    [problem] = judged.problems
     assert (problem.what, problem.where) == ("may not create, get deployments.apps", "namespaces a, b")
     assert "give this account create, get on deployments.apps (a Role and RoleBinding there)" in problem.fix
 
@@ -72,9 +72,9 @@ def test_missing_verbs_are_named_with_their_places() -> None:
     ids=["no way", "no binding", "may give what it has not", "has what it gives"],
 )
 def test_who_gives_rights_has_them_or_may_give_others(missing: set[ApiRight], problems: int) -> None:
-    found = rights(Reviewed(NEEDED, frozenset(missing))).problems
-    assert len(found) == problems
-    assert all("may not give get of pods" in one.what and "escalate and bind" in one.fix for one in found)
+    missing_rights = rights(Reviewed(NEEDED, frozenset(missing))).problems
+    assert len(missing_rights) == problems
+    assert all("may not give get of pods" in one.what and "escalate and bind" in one.fix for one in missing_rights)
 
 
 def test_an_administrator_is_asked_once() -> None:

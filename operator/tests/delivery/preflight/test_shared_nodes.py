@@ -31,8 +31,8 @@ def said(found: ClusterFinding) -> str:
 
 
 def test_agents_that_share_a_node_have_one_and_that_is_said() -> None:
-    found = finding("agents", nodes=[with_guests(NODES[0], "vehicle-01"), NODES[2]])
-    assert (found.result, found.says.partition(";")[2]) == (
+    judged = finding("agents", nodes=[with_guests(NODES[0], "vehicle-01"), NODES[2]])
+    assert (judged.result, judged.says.partition(";")[2]) == (
         OK,
         " trial mode: agents share Nodes (Node vehicle-00 is vehicle-00, vehicle-01), so no machine keeps them apart, "
         "and no figure compares machines",

@@ -103,9 +103,9 @@ def revision(number: int, status: str, **more: Any) -> dict[str, Any]:
 
 
 def test_the_last_revision_of_a_release() -> None:
-    found = last_revision([revision(9, "superseded"), revision(10, "deployed")])
-    assert found == HelmRevision("0.1.0", "deployed", 10, {"secrets": {"seed": "hunter2"}})
-    assert "hunter2" not in repr(found)
+    last = last_revision([revision(9, "superseded"), revision(10, "deployed")])
+    assert last == HelmRevision("0.1.0", "deployed", 10, {"secrets": {"seed": "hunter2"}})
+    assert "hunter2" not in repr(last)
     assert last_revision([]) is None
 
 

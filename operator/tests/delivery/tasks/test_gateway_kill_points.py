@@ -62,8 +62,8 @@ class Operator:
         self._client.publish(f"robotkube/tasks/{OPERATOR}", json.dumps(order), 1).wait_for_publish(ANSWER_SECONDS_MAX)
 
     def refused(self) -> list[str]:
-        found = [answer["conditions"] for answer in self.heard if answer["id"] is None]
-        return [condition["reason"] for [condition] in found]
+        refusals = [answer["conditions"] for answer in self.heard if answer["id"] is None]
+        return [condition["reason"] for [condition] in refusals]
 
     def close(self) -> None:
         self._client.disconnect()
@@ -98,24 +98,24 @@ def broker(tmp_path: Path) -> Iterator[pods.Broker]:
         "manager": ["topic read robotkube/tasks/#", "topic write robotkube/task_status/#"],
         OPERATOR: [f"topic write robotkube/tasks/{OPERATOR}", f"topic read robotkube/task_status/{OPERATOR}"],
     }
-    found = pods.Broker(tmp_path / "broker", rules)
-    found.start()
-    yield found
-    found.stop()
+    started = pods.Broker(tmp_path / "broker", rules)
+    started.start()
+    yield started
+    started.stop()
 
 
 @pytest.fixture
 def operator(broker: pods.Broker) -> Iterator[Operator]:
-    found = Operator(broker.port)
-    yield found
-    found.close()
+    connected = Operator(broker.port)
+    yield connected
+    connected.close()
 
 
 @pytest.fixture
 def managers(manager_api: Api, broker: pods.Broker, tmp_path: Path) -> Iterator[Managers]:
-    found = Managers(manager_api, broker, tmp_path)
-    yield found
-    for pod in found.pods:
+    started = Managers(manager_api, broker, tmp_path)
+    yield started
+    for pod in started.pods:
         pod.kill()
     for item in manager_api.get(TASKS)["items"]:
         manager_api.delete(f"{TASKS}/{item['metadata']['name']}")

@@ -235,8 +235,8 @@ def test_topics_of_nobody_are_dropped(stage: Stage) -> None:
 )
 def test_what_cannot_become_a_task_is_refused_with_words(stage: Stage, payload: bytes, reason: str, words: str) -> None:
     stage.say(payload)
-    found, message = stage.refusal()
-    assert found == reason
+    refused, message = stage.refusal()
+    assert refused == reason
     assert words in message
     assert len(message) < 3000
     assert stage.tasks.objects == {}

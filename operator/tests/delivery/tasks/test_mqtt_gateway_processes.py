@@ -105,24 +105,24 @@ def broker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[pods.Broker]:
         "manager": ["topic read robotkube/tasks/#", "topic write robotkube/task_status/#"],
         "cloud-0": ["topic write robotkube/tasks/cloud-0", "topic read robotkube/task_status/cloud-0"],
     }
-    found = pods.Broker(tmp_path_factory.mktemp("broker") / "files", rules)
-    found.start()
-    yield found
-    found.stop()
+    started = pods.Broker(tmp_path_factory.mktemp("broker") / "files", rules)
+    started.start()
+    yield started
+    started.stop()
 
 
 @pytest.fixture
 def operator(broker: pods.Broker) -> Iterator[Operator]:
-    found = Operator(broker.port)
-    yield found
-    found.close()
+    connected = Operator(broker.port)
+    yield connected
+    connected.close()
 
 
 @pytest.fixture
 def gateway(api_server: ApiServerProcess, broker: pods.Broker) -> Iterator[RunningGateway]:
-    found = RunningGateway(api_server, broker)
-    yield found
-    found.close()
+    started = RunningGateway(api_server, broker)
+    yield started
+    started.close()
 
 
 def task(api: Api, name: str) -> dict[str, Any] | None:
@@ -134,9 +134,9 @@ def task(api: Api, name: str) -> dict[str, Any] | None:
 
 def present(api: Api, name: str) -> dict[str, Any]:
     until(lambda: task(api, name), f"task {name}")
-    found = task(api, name)
-    assert found is not None
-    return found
+    read = task(api, name)
+    assert read is not None
+    return read
 
 
 def test_asking_changing_renewing_and_withdrawing(api: Api, operator: Operator, gateway: RunningGateway) -> None:

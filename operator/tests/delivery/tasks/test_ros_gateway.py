@@ -61,9 +61,9 @@ class Leading:
 
 @pytest.fixture
 def nodes() -> Iterator[pods.Nodes]:
-    found = pods.Nodes()
-    yield found
-    found.close()
+    namespaces = pods.Nodes()
+    yield namespaces
+    namespaces.close()
 
 
 @pytest.fixture
@@ -72,10 +72,10 @@ def broker(tmp_path: Path) -> Iterator[pods.Broker]:
         "manager": ["topic read robotkube/tasks/#", "topic write robotkube/task_status/#"],
         AGENT: [f"topic write robotkube/tasks/{AGENT}", f"topic read robotkube/task_status/{AGENT}"],
     }
-    found = pods.Broker(tmp_path / "broker", rules)
-    found.start()
-    yield found
-    found.stop()
+    started = pods.Broker(tmp_path / "broker", rules)
+    started.start()
+    yield started
+    started.stop()
 
 
 def account(broker: pods.Broker) -> BrokerAccount:
@@ -85,13 +85,13 @@ def account(broker: pods.Broker) -> BrokerAccount:
 @pytest.fixture
 def tasks(broker: pods.Broker) -> Iterator[MemoryTasks]:
     """What the gateway writes."""
-    found = MemoryTasks()
+    memory = MemoryTasks()
     channel = PahoGateway(account(broker), "manager-task-door")
-    writer = MemoryTaskWriter(found)
-    gateway = MqttTaskGateway({AGENT: AGENT}, channel, found, writer, Leading(), time.time_ns, time.monotonic)
+    writer = MemoryTaskWriter(memory)
+    gateway = MqttTaskGateway({AGENT: AGENT}, channel, memory, writer, Leading(), time.time_ns, time.monotonic)
     gateway.start()
     until(lambda: gateway.is_open, "the gateway open")
-    yield found
+    yield memory
     gateway.stop(5.0)
 
 

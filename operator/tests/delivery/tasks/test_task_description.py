@@ -103,8 +103,8 @@ def test_a_refusal_is_short_whatever_the_task() -> None:
 
 def test_the_page_lists_every_reason_with_its_sentence() -> None:
     rows = re.findall(r"^\| ([A-Za-z, ]+) \| [A-Za-z, ]+ \| ([A-Za-z]+) \| (.+) \|$", PAGE.read_text(), re.MULTILINE)
-    found = {(condition, reason, text) for names, reason, text in rows for condition in names.split(", ")}
-    assert found - {("condition", "reason", "it says")} == {
+    listed = {(condition, reason, text) for names, reason, text in rows for condition in names.split(", ")}
+    assert listed - {("condition", "reason", "it says")} == {
         (c, reason, text) for c, texts in REASON_TEXTS.items() for reason, text in texts.items()
     }
     assert all(reason in REASON_TEXTS["Accepted"] for reason in SETTLED_REASONS)

@@ -46,9 +46,9 @@ def test_in_clear_text_when_the_account_says_so(tmp_path: Path, tls: str) -> Non
 
 
 def test_every_problem_of_an_account_is_named(tmp_path: Path) -> None:
-    with pytest.raises(DocumentError) as found:
+    with pytest.raises(DocumentError) as refused:
         read_account(mounted(tmp_path, tls="maybe", username=""))
-    [username, tls] = found.value.problems
+    [username, tls] = refused.value.problems
     assert username.startswith("username: ")
     assert "'maybe'; must be required or off" in tls
 

@@ -50,9 +50,9 @@ def test_what_is_nested_deeper_is_refused(levels: int) -> None:
 @pytest.mark.parametrize("levels", [1, LEVELS_MAX, LEVELS_MAX + 1, 900, 100_000])
 def test_what_is_nested_deeper_is_shortened_and_the_rest_of_the_document_stays(levels: int) -> None:
     text = '{"items": [{"a": ' + nested(levels) + '}, {"name": "\\"{[ other"}]}'
-    found = read_json_shortened(text)
-    assert found["items"][1] == {"name": '"{[ other'}
-    assert 1 < depth(found) <= LEVELS_MAX
+    document = read_json_shortened(text)
+    assert document["items"][1] == {"name": '"{[ other'}
+    assert 1 < depth(document) <= LEVELS_MAX
 
 
 @given(JSON)

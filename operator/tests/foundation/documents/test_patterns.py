@@ -101,12 +101,12 @@ def identifier_patterns(text: str) -> set[str]:
     nodes = list(ast.walk(tree))
     names = {id(node.value): name_of(node) for node in nodes if isinstance(node, ast.Assign | ast.AnnAssign)}
     functions = of_re(tree)
-    found = set()
+    identifiers = set()
     for node in nodes:
         if isinstance(node, ast.Call | ast.Assign | ast.AnnAssign | ast.Dict):
             wrong = [literal for literal in literals(node, functions) if LETTERS_AND_DIGITS.search(literal)]
-            found |= {names.get(id(node)) or name_of(node) or literal for literal in wrong}
-    return found
+            identifiers |= {names.get(id(node)) or name_of(node) or literal for literal in wrong}
+    return identifiers
 
 
 def schemas() -> list[Path]:

@@ -74,12 +74,12 @@ def make_people(folder: Path, registered: tuple[str, ...], *others: str) -> Peop
 
 @pytest.fixture(scope="module")
 def people(own_installation: Installation, tmp_path_factory: pytest.TempPathFactory) -> People:
-    found = make_people(tmp_path_factory.mktemp("keys"), (*PEOPLE, "operator-team-2"), "stranger", "manager")
+    made = make_people(tmp_path_factory.mktemp("keys"), (*PEOPLE, "operator-team-2"), "stranger", "manager")
     for repository in (REPOSITORY, "robotkube/catalogue"):
         gate = own_installation.clone("gate", repository)
-        commit = gate.commit({SIGNERS_PATH: found.signers}, "signers\n", [gate.tip()])
+        commit = gate.commit({SIGNERS_PATH: made.signers}, "signers\n", [gate.tip()])
         assert gate.push(commit, MAIN) == ""
-    return found
+    return made
 
 
 @pytest.fixture
@@ -93,9 +93,9 @@ def now(**away: float) -> str:
 
 def change_of(clone: Clone, commit: str, **other: Any) -> EmergencyChange:
     """The change that `commit` is, not signed yet."""
-    found = clone.repository[commit].peel(pygit2.Commit)
-    parent = str(found.parent_ids[0])
-    return replace(EmergencyChange(REPOSITORY, parent, str(found.tree_id), now(), "the gate is away", {}), **other)
+    changed = clone.repository[commit].peel(pygit2.Commit)
+    parent = str(changed.parent_ids[0])
+    return replace(EmergencyChange(REPOSITORY, parent, str(changed.tree_id), now(), "the gate is away", {}), **other)
 
 
 def commit_of(clone: Clone, change: EmergencyChange, text: str = "", parents: tuple[str, ...] = ()) -> str:
@@ -375,9 +375,9 @@ def forge_options(installation: Installation, folder: Path, account: str) -> tup
 
 @pytest.fixture
 def controller() -> Iterator[ApplicationSetController]:
-    found = ApplicationSetController()
-    yield found
-    found.stop()
+    started = ApplicationSetController()
+    yield started
+    started.stop()
 
 
 @pytest.fixture

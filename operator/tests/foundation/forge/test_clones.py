@@ -28,11 +28,11 @@ class Stage:
     def tree(self, content: Tree) -> pygit2.Oid:
         """Text = file, mapping = folder, id = that tree."""
         builder = self.repository.TreeBuilder()
-        for name, found in content.items():
-            if isinstance(found, str):
-                builder.insert(name, self.repository.create_blob(found.encode()), FileMode.BLOB)
+        for name, entry in content.items():
+            if isinstance(entry, str):
+                builder.insert(name, self.repository.create_blob(entry.encode()), FileMode.BLOB)
             else:
-                builder.insert(name, self.tree(found) if isinstance(found, dict) else found, FileMode.TREE)
+                builder.insert(name, self.tree(entry) if isinstance(entry, dict) else entry, FileMode.TREE)
         return builder.write()
 
     def commit(self, content: Tree, *parents: str, message: str = "some\n") -> str:
@@ -52,9 +52,9 @@ def test_files_are_added_changed_removed_and_become_folders(stage: Stage) -> Non
     first = stage.commit(before)
     assert stage.clone.commit(first).changes == {"a": "1", "b/c": "2", "b/d/e": "3", "f": "4", "g/h": "5"}
     after: Tree = {"a": "1", "b": {"c": "new", "d": {}}, "f": {"now": "folder"}, "g": "file", "z": "last"}
-    found = stage.read(after, first)
+    files = stage.read(after, first)
     expected = {"b/c": "new", "b/d/e": None, "f": None, "f/now": "folder", "g": "file", "g/h": None, "z": "last"}
-    assert found.changes == expected
+    assert files.changes == expected
     assert stage.read(before, first).changes == {}
 
 
@@ -79,8 +79,8 @@ def test_deep_folders_are_refused(stage: Stage) -> None:
 
 def test_a_file_beyond_the_bound_is_not_even_read(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clones, "FILE_BYTES_MAX", 100)
-    found = stage.read({"large": "x" * 101, "right": "x" * 100})
-    assert (found.irregular, list(found.changes)) == (("large",), ["right"])
+    files = stage.read({"large": "x" * 101, "right": "x" * 100})
+    assert (files.irregular, list(files.changes)) == (("large",), ["right"])
 
 
 def test_texts_beyond_the_bound_together_are_refused(stage: Stage, monkeypatch: pytest.MonkeyPatch) -> None:

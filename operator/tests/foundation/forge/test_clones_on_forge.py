@@ -22,9 +22,9 @@ def test_a_race_for_main_has_one_winner(installation: Installation, tmp_path: Pa
     plans = [installation.plan(), installation.plan()]
     first, second = (writer.commit(release_files(plan, f"race-{plan[-2:]}"), message(plan), [tip]) for plan in plans)
     clones = [clone(installation, "gate", tmp_path / name) for name in ("one", "two")]
-    for found, commit in zip(clones, (first, second), strict=True):
-        assert found.fetch() == tip
-        bring(writer, found, commit)
+    for pushing, commit in zip(clones, (first, second), strict=True):
+        assert pushing.fetch() == tip
+        bring(writer, pushing, commit)
     assert clones[0].push_main(first)
     assert clones[0].tip == first
     assert not clones[1].push_main(second)
@@ -43,11 +43,11 @@ def bring(source: Clone, target: GitClone, commit: str) -> None:
 def test_who_may_not_push_is_told_so(installation: Installation, tmp_path: Path) -> None:
     person = installation.clone("operator-team")
     commit = person.commit({"policies/merge.yaml": "x: 1\n"}, "mine\n", [person.tip()])
-    found = clone(installation, "operator-team", tmp_path)
-    found.fetch()
-    bring(person, found, commit)
+    clone_of_team = clone(installation, "operator-team", tmp_path)
+    clone_of_team.fetch()
+    bring(person, clone_of_team, commit)
     with pytest.raises(InputError, match="operator-team must be on the branch's push list"):
-        found.push_main(commit)
+        clone_of_team.push_main(commit)
 
 
 def test_a_wrong_password_ends_at_once(installation: Installation, tmp_path: Path) -> None:
@@ -61,21 +61,21 @@ def test_a_forge_that_is_away_is_unavailable(tmp_path: Path) -> None:
 
 
 def test_history_and_files(installation: Installation, tmp_path: Path) -> None:
-    found = clone(installation, "manager", tmp_path)
-    tip = found.fetch()
-    history = found.log(None, 1000)
+    clone_of_manager = clone(installation, "manager", tmp_path)
+    tip = clone_of_manager.fetch()
+    history = clone_of_manager.log(None, 1000)
     assert history[0].parents == ()
     assert "README.md" in history[0].changes
     assert history[-1].id == tip
-    assert found.log(tip, 10) == []
-    assert len(found.log(None, 1)) == 1
-    assert found.contains(history[0].id)
-    assert found.files(tip, ("nowhere",)) == {}
-    assert "policies/initial.yaml" in found.files(tip, ("policies",))
+    assert clone_of_manager.log(tip, 10) == []
+    assert len(clone_of_manager.log(None, 1)) == 1
+    assert clone_of_manager.contains(history[0].id)
+    assert clone_of_manager.files(tip, ("nowhere",)) == {}
+    assert "policies/initial.yaml" in clone_of_manager.files(tip, ("policies",))
     with pytest.raises(InputError, match="is not here"):
-        found.commit("0" * 40)
+        clone_of_manager.commit("0" * 40)
     with pytest.raises(InputError, match="refs/pull/999/head"):
-        found.proposal(999)
+        clone_of_manager.proposal(999)
 
 
 def test_links_and_binary_files_are_irregular(installation: Installation, tmp_path: Path) -> None:
@@ -83,9 +83,9 @@ def test_links_and_binary_files_are_irregular(installation: Installation, tmp_pa
     tip = person.tip()
     link = person.commit({"releases/x": "/etc/passwd"}, "link\n", [tip], 0o120000)
     program = person.commit({"releases/y": "echo"}, "program\n", [tip], 0o100755)
-    found = clone(installation, "operator-team", tmp_path)
-    found.fetch()
+    clone_of_team = clone(installation, "operator-team", tmp_path)
+    clone_of_team.fetch()
     for commit, path in ((link, "releases/x"), (program, "releases/y")):
-        bring(person, found, commit)
-        assert found.commit(commit).irregular == (path,)
-        assert path not in found.files(commit, ("releases",))
+        bring(person, clone_of_team, commit)
+        assert clone_of_team.commit(commit).irregular == (path,)
+        assert path not in clone_of_team.files(commit, ("releases",))

@@ -35,9 +35,9 @@ class Stage:
         self.gate.moved_to(self.tip)
 
     def objects_of(self, commit: str) -> CommitObjects:
-        found = git_objects.new_objects(self.source, self.source[commit])
-        assert found is not None
-        return read_objects(write_objects(found, REPOSITORY), REPOSITORY)
+        new = git_objects.new_objects(self.source, self.source[commit])
+        assert new is not None
+        return read_objects(write_objects(new, REPOSITORY), REPOSITORY)
 
 
 @pytest.fixture
@@ -50,9 +50,9 @@ def test_only_what_is_new_goes_and_is_taken_in(stage: Stage) -> None:
     commit = stage.writer.commit(stage.tip, changes, "a plan\n")
     objects = stage.objects_of(commit)
     assert [kind for kind, _ in objects.objects] == ["commit", "tree", "tree", "tree", "blob", "tree", "blob"]
-    found = stage.gate.receive(objects)
-    assert found is not None
-    assert (found.id, found.parents, found.changes) == (commit, (stage.tip,), changes)
+    received = stage.gate.receive(objects)
+    assert received is not None
+    assert (received.id, received.parents, received.changes) == (commit, (stage.tip,), changes)
 
 
 def test_what_is_missing_or_no_object_of_its_kind_is_not_taken(stage: Stage, tmp_path: Path) -> None:
@@ -124,7 +124,7 @@ def test_files_of_single_objects_become_a_pack(stage: Stage, tmp_path: Path) -> 
 def test_what_cannot_be_read_is_refused_in_words(body: bytes, problem: str) -> None:
     with pytest.raises(DocumentError) as refusal:
         read_objects(body, REPOSITORY)
-    assert any(problem in found for found in refusal.value.problems), refusal.value.problems
+    assert any(problem in sentence for sentence in refusal.value.problems), refusal.value.problems
 
 
 def test_the_gate_keeps_a_bounded_number_of_each_and_gives_it_its_own_once() -> None:

@@ -63,18 +63,18 @@ def stage(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     forge = ForgeProcess(folder / "data", environment={"FORGE_HOOK": hook})
     forge.start()
     (folder / "clone").mkdir()
-    found = Stage(forge, folder / "clone")
-    found.api("POST", "user/repos", name="r", default_branch="main")
-    git(found.clone, "init", "-q", "-b", "main")
+    made = Stage(forge, folder / "clone")
+    made.api("POST", "user/repos", name="r", default_branch="main")
+    git(made.clone, "init", "-q", "-b", "main")
     remote = forge.url.replace("//", f"//{forge.administrator}:{forge.administrator_password}@")
-    git(found.clone, "remote", "add", "origin", f"{remote}/{forge.administrator}/r.git")
-    found.commit("first")
-    git(found.clone, "push", "-q", "origin", "main")
+    git(made.clone, "remote", "add", "origin", f"{remote}/{forge.administrator}/r.git")
+    made.commit("first")
+    git(made.clone, "push", "-q", "origin", "main")
     deadline = time.monotonic() + FILLED_SECONDS_MAX
-    while found.api("GET", f"repos/{forge.administrator}/r").json()["empty"]:  # the forge notes it after the push
+    while made.api("GET", f"repos/{forge.administrator}/r").json()["empty"]:  # the forge notes it after the push
         assert time.monotonic() < deadline
         time.sleep(0.05)
-    yield found
+    yield made
     forge.remove()
 
 

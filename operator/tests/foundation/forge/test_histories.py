@@ -23,11 +23,11 @@ class Stage:
 
     def tree(self, content: Content) -> pygit2.Oid:
         builder = self.repository.TreeBuilder()
-        for name, found in content.items():
-            if isinstance(found, str):
-                builder.insert(name, self.repository.create_blob(found.encode()), FileMode.BLOB)
+        for name, entry in content.items():
+            if isinstance(entry, str):
+                builder.insert(name, self.repository.create_blob(entry.encode()), FileMode.BLOB)
             else:
-                builder.insert(name, self.tree(found), FileMode.TREE)
+                builder.insert(name, self.tree(entry), FileMode.TREE)
         return builder.write()
 
     def commit(self, content: Content, *parents: str, reference: str = "refs/heads/main") -> str:

@@ -74,12 +74,12 @@ class Handler(BaseHTTPRequestHandler):
 
 @pytest.fixture
 def service() -> Iterator[Service]:
-    found = Service()
-    thread = threading.Thread(target=found.serve_forever, kwargs={"poll_interval": 0.05})
+    started = Service()
+    thread = threading.Thread(target=started.serve_forever, kwargs={"poll_interval": 0.05})
     thread.start()
-    yield found
-    found.shutdown()
-    found.server_close()
+    yield started
+    started.shutdown()
+    started.server_close()
     thread.join(5)
 
 
@@ -129,8 +129,8 @@ def test_github_pull_requests(service: Service, github: GitHubForge) -> None:
     done = hub_pull(6, "somebody", "closed", "2026-11-21T10:00:00Z")
     service.give("GET", f"{HUB}/pulls", [hub_pull(7), done])
     assert [pull.number for pull in github.pull_requests("all", author="manager")] == [7]
-    [_, found] = github.pull_requests("all")
-    assert (found.merged, found.merge_commit, found.state) == (True, MERGED, "closed")
+    [_, newest] = github.pull_requests("all")
+    assert (newest.merged, newest.merge_commit, newest.state) == (True, MERGED, "closed")
     query, _ = service.asked("GET", f"{HUB}/pulls")
     assert query == {"state": "all", "base": "main", "sort": "created", "direction": "desc", "per_page": "50"}
 

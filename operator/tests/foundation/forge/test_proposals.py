@@ -29,9 +29,9 @@ def origin(tmp_path: Path) -> pygit2.Repository:
 
 @pytest.fixture
 def clone(origin: pygit2.Repository, tmp_path: Path) -> GitClone:
-    found = GitClone(f"file://{tmp_path}/origin", "o/deployment", "manager", "x", tmp_path / "clone")
-    found.fetch()
-    return found
+    made = GitClone(f"file://{tmp_path}/origin", "o/deployment", "manager", "x", tmp_path / "clone")
+    made.fetch()
+    return made
 
 
 @pytest.fixture
@@ -42,9 +42,9 @@ def writer(clone: GitClone, tmp_path: Path) -> ProposalWriter:
 def test_a_commit_changes_exactly_what_it_names(clone: GitClone, writer: ProposalWriter) -> None:
     changes = {"releases/a/x.yaml": "new\n", "releases/b/y.yaml": None, "sources/c/d/e.yaml": "deep\n"}
     made = writer.commit(clone.tip, changes, "deploy(x): y\n")
-    found = clone.commit(made)
-    assert found.changes == changes
-    assert (found.parents, found.message, found.author) == ((clone.tip,), "deploy(x): y\n", "robotkube-manager")
+    commit = clone.commit(made)
+    assert commit.changes == changes
+    assert (commit.parents, commit.message, commit.author) == ((clone.tip,), "deploy(x): y\n", "robotkube-manager")
     assert clone.files(made, ["releases", "sources"]) == {
         "releases/a/x.yaml": "new\n",
         "sources/a/s.yaml": "3\n",

@@ -64,9 +64,9 @@ def test_both_sides_must_allow_it_and_the_verdict_names_who_does_not() -> None:
     ],
 )
 def test_directions_follow_from_types_and_rules(spec: dict[str, Any], closed: set[str]) -> None:
-    found = policy(spec)
-    assert allowed([found], STRANGER, WEB) == ("ingress" not in closed)
-    assert allowed([found], WEB, OUTSIDE) == ("egress" not in closed)
+    read = policy(spec)
+    assert allowed([read], STRANGER, WEB) == ("ingress" not in closed)
+    assert allowed([read], WEB, OUTSIDE) == ("egress" not in closed)
 
 
 @pytest.mark.parametrize(

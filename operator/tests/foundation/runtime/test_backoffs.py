@@ -43,8 +43,8 @@ def test_waits_spread_over_the_whole_time(source: random.Random) -> None:
 
 
 def test_no_loop_doubles_its_pause_by_itself() -> None:
-    found = {path.name for path in SOURCES.rglob("*.py") if DOUBLES.search(path.read_text())}
-    assert found == ALONE
+    doubling = {path.name for path in SOURCES.rglob("*.py") if DOUBLES.search(path.read_text())}
+    assert doubling == ALONE
 
 
 def test_no_loop_repeats_what_failed_after_a_pause_that_is_always_the_same() -> None:

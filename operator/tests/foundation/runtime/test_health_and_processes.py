@@ -90,9 +90,9 @@ def test_objects_are_made_changed_and_removed(api: ApiServer) -> None:
     assert api.create(path, body)
     assert not api.create(path, body)
     assert api.patch(f"{path}/t1", {"spec": {"b": None, "c": 3}})
-    found = api.get(f"{path}/t1")
-    assert found is not None
-    assert found["spec"] == {"a": 1, "c": 3}
+    task = api.get(f"{path}/t1")
+    assert task is not None
+    assert task["spec"] == {"a": 1, "c": 3}
     assert api.delete(f"{path}/t1")
     assert not api.delete(f"{path}/t1")
     assert not api.patch(f"{path}/t1", {})

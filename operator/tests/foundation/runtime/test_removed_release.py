@@ -71,12 +71,12 @@ def test_settings_that_were_never_there_end_nothing() -> None:
 def test_it_stays_idle_until_it_is_told_to_end() -> None:
     with subprocess.Popen(
         [sys.executable, "-c", SCRIPT], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as found:
-        assert found.stdout is not None
-        assert found.stderr is not None
-        assert [found.stdout.readline() for _ in range(2)] == ["settings {'a': '1'}\n", "returned\n"]
-        assert '"event": "removed"' in found.stderr.readline()
-        assert '"event": "ended"' in found.stderr.readline()
-        assert found.poll() is None  # else the kubelet would start it again
-        found.send_signal(signal.SIGTERM)
-        assert found.wait(30) == 0
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert [process.stdout.readline() for _ in range(2)] == ["settings {'a': '1'}\n", "returned\n"]
+        assert '"event": "removed"' in process.stderr.readline()
+        assert '"event": "ended"' in process.stderr.readline()
+        assert process.poll() is None  # else the kubelet would start it again
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(30) == 0

@@ -97,9 +97,9 @@ def start(caplog: pytest.LogCaptureFixture) -> Iterator[Callable[..., Served]]:
     with ExitStack() as running:
 
         def served(**arguments: Any) -> Served:
-            found = Served(**arguments)
-            running.callback(found.stop)
-            return found
+            server = Served(**arguments)
+            running.callback(server.stop)
+            return server
 
         yield served
     assert [record.message for record in caplog.records if record.exc_info] == []

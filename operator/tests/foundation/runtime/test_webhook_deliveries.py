@@ -54,10 +54,10 @@ def received(reads: Callable[[bytes], WebhookDelivery], document: Any) -> Webhoo
 
 
 def refused(body: bytes) -> str:
-    with pytest.raises(RequestError) as found:
+    with pytest.raises(RequestError) as refusal:
         read(body)
-    assert found.value.status == 400
-    return str(found.value)
+    assert refusal.value.status == 400
+    return str(refusal.value)
 
 
 def test_a_delivery_of_the_form_is_read() -> None:

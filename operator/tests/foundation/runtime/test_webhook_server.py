@@ -31,9 +31,9 @@ class Receiver:
 
 @pytest.fixture
 def receiver() -> Iterator[Receiver]:
-    found = Receiver()
-    yield found
-    found.server.stop()
+    started = Receiver()
+    yield started
+    started.server.stop()
 
 
 def deliver(receiver: Receiver, body: bytes, signature: str | None = None) -> httpx.Response:

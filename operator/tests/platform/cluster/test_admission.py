@@ -58,14 +58,14 @@ class Running:
 
     def containers(self) -> list[Object]:
         """The release's containers as they are."""
-        found: list[Object] = self.api.done("GET", DEPLOYMENT)["spec"]["template"]["spec"]["containers"]
-        return found
+        containers: list[Object] = self.api.done("GET", DEPLOYMENT)["spec"]["template"]["spec"]["containers"]
+        return containers
 
     def application(self, **source: Any) -> Object:
         """An Application like that of the release, with another source."""
-        found = copy.deepcopy(self.api.done("GET", f"{PLACE}/{AGENT}-{RELEASE}"))
-        found["spec"]["source"].update(source)
-        return {**found, "metadata": {"name": "attacker", "namespace": "argocd"}, "status": {}}
+        application = copy.deepcopy(self.api.done("GET", f"{PLACE}/{AGENT}-{RELEASE}"))
+        application["spec"]["source"].update(source)
+        return {**application, "metadata": {"name": "attacker", "namespace": "argocd"}, "status": {}}
 
 
 def container(reference: str, name: str = "main") -> Object:
@@ -160,8 +160,8 @@ def test_the_policies_are_neither_seen_nor_deleted(running: Running) -> None:
 
 def test_nothing_that_runs_would_be_stranded(platform: Platform, running: Running) -> None:
     """The list has all that was published, and what the platform was installed with."""
-    found = stranded_now(ClusterFolders(platform.name), topology.read(WIDEST / "scenario.yaml"), _lock())
-    assert found.stranded == (), found.lines
+    stranded = stranded_now(ClusterFolders(platform.name), topology.read(WIDEST / "scenario.yaml"), _lock())
+    assert stranded.stranded == (), stranded.lines
 
 
 def _lock() -> tuple[image_lock.Image, ...]:

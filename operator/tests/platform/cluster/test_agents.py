@@ -95,9 +95,9 @@ def test_a_node_of_an_undeclared_agent_gets_nothing_and_is_reported(platform: Pl
     before = set(stage.releases())
     platform.kubectl("create", "-f", "-", text=yaml.safe_dump(node))
     try:
-        found = eventually("it is reported", lambda: reports(platform), REPORTED_SECONDS_MAX)
-        assert [event["reason"] for event in found] == ["UnknownAgent"]
-        assert f"agent '{STRANGER_AGENT}', which is not declared" in found[0]["note"]
+        report = eventually("it is reported", lambda: reports(platform), REPORTED_SECONDS_MAX)
+        assert [event["reason"] for event in report] == ["UnknownAgent"]
+        assert f"agent '{STRANGER_AGENT}', which is not declared" in report[0]["note"]
         assert set(stage.releases()) == before
     finally:
         platform.kubectl("delete", "node", STRANGER)

@@ -55,9 +55,9 @@ def cluster(
     scenario = definition.load(SCENARIO, [], VARIANT)
     nodes = topology.read(SCENARIO / "scenario.yaml", {"vehicles": str(len(scenario.vehicles))})
     machines = request.param(nodes)
-    with made(NAME, prepared.binaries, machines, prepared.images, tmp_path_factory.mktemp("others")) as found:
-        _push(found, tmp_path_factory.mktemp("bundle") / "robotkube.tar")
-        yield found
+    with made(NAME, prepared.binaries, machines, prepared.images, tmp_path_factory.mktemp("others")) as made_cluster:
+        _push(made_cluster, tmp_path_factory.mktemp("bundle") / "robotkube.tar")
+        yield made_cluster
 
 
 def _push(cluster: ClusterOfOthers, path: Path) -> None:
@@ -90,13 +90,13 @@ def _objects(cluster: ClusterOfOthers) -> dict[str, Any]:
         return subprocess.run([*kubectl, *words], capture_output=True, text=True, timeout=60, check=True).stdout
 
     kinds = [kind for kind in asked("api-resources", "--verbs=list", "-o", "name").split() if kind not in PASSING]
-    found = {}
+    objects = {}
     for kind in kinds:
         for item in json.loads(asked("get", kind, "-A", "-o", "json"))["items"]:
             metadata = item["metadata"]
             kept = {key: metadata.get(key) for key in ("labels", "annotations", "finalizers")}
-            found[f"{kind} {metadata.get('namespace', '')}/{metadata['name']}"] = [kept, item.get("spec")]
-    return {name: "kept" if name.startswith(RETAINED) else item for name, item in found.items()}
+            objects[f"{kind} {metadata.get('namespace', '')}/{metadata['name']}"] = [kept, item.get("spec")]
+    return {name: "kept" if name.startswith(RETAINED) else item for name, item in objects.items()}
 
 
 def _what_runs_has_the_digests_of_the_bundle(cluster: ClusterOfOthers) -> None:

@@ -39,8 +39,8 @@ class Accounts:
 
     def recorder(self, **changes: str) -> Client:
         """The recorder's account of cloud-0, with changes."""
-        found = {key: self.own[key] for key in ("username", "password")}
-        return self.client(**{**found, "authSource": self.own["authenticationDatabase"], **changes})
+        account = {key: self.own[key] for key in ("username", "password")}
+        return self.client(**{**account, "authSource": self.own["authenticationDatabase"], **changes})
 
     def close(self) -> None:
         """Ends all connections."""
@@ -50,9 +50,9 @@ class Accounts:
 
 @pytest.fixture
 def accounts(platform: Platform, tmp_path: Path) -> Iterator[Accounts]:
-    found = Accounts(platform, tmp_path)
-    yield found
-    found.close()
+    with_logins = Accounts(platform, tmp_path)
+    yield with_logins
+    with_logins.close()
 
 
 def test_the_recorder_reads_and_writes_its_own_database(accounts: Accounts) -> None:

@@ -112,11 +112,11 @@ def driven(platform: Platform) -> Iterator[None]:
 
 def starts(platform: Platform) -> dict[str, int]:
     """How often containers of the platform's pods have started again, by pod."""
-    found = {}
+    times = {}
     for pod in platform.get("-n", NAMESPACE, "pods")["items"]:
         statuses = pod["status"].get("containerStatuses", ())
-        found[pod["metadata"]["name"]] = sum(one["restartCount"] for one in statuses)
-    return found
+        times[pod["metadata"]["name"]] = sum(one["restartCount"] for one in statuses)
+    return times
 
 
 def recorded(platform: Platform, topic: str, task: str) -> Mapping[str, Any]:

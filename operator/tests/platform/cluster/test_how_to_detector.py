@@ -68,8 +68,8 @@ def run(command: str, folder: Path, surroundings: Mapping[str, str]) -> str:
 
 def pods(platform: Platform) -> dict[str, int]:
     """Identity -> restarts of the detector's pods."""
-    found = platform.get("pods", "-n", NAMESPACE, "-l", f"app.kubernetes.io/instance={DETECTOR}")["items"]
-    return {pod["metadata"]["uid"]: sum(c["restartCount"] for c in pod["status"]["containerStatuses"]) for pod in found}
+    items = platform.get("pods", "-n", NAMESPACE, "-l", f"app.kubernetes.io/instance={DETECTOR}")["items"]
+    return {pod["metadata"]["uid"]: sum(c["restartCount"] for c in pod["status"]["containerStatuses"]) for pod in items}
 
 
 def test_the_page_leads_from_nothing_to_an_event_and_a_changed_rule(

@@ -15,8 +15,8 @@ from tests.stages.platform.running_platform import Platform
 
 def test_every_node_has_the_digests_of_the_lock(platform: Platform) -> None:
     expected = {image.reference: image.reference.partition("@")[2] for image in preparation.everything().images}
-    found = processes.recorded(ClusterFolders(platform.name))
-    holders = [process for process in found if process.name.endswith(".node")]
+    records = processes.recorded(ClusterFolders(platform.name))
+    holders = [process for process in records if process.name.endswith(".node")]
     assert len(holders) == len(platform.provider.nodes())
     for holder in holders:
         control = [str(platform.provider.binaries / "ctr"), "--address", str(socket_of(holder)), "-n", "k8s.io"]

@@ -35,9 +35,9 @@ CLEAN = {"Seen": "True", "Clean": "True"}
 
 def inspection(platform: Platform, name: str) -> dict[str, Any]:
     """The status of an Inspection, with its conditions by type; the remover's is not asked for here."""
-    found: dict[str, Any] = platform.get("-n", "robotkube", "inspections", name).get("status", {})
-    conditions = {one["type"]: one["status"] for one in found.get("conditions", []) if one["type"] in CLEAN}
-    return {**found, "conditions": conditions}
+    status: dict[str, Any] = platform.get("-n", "robotkube", "inspections", name).get("status", {})
+    conditions = {one["type"]: one["status"] for one in status.get("conditions", []) if one["type"] in CLEAN}
+    return {**status, "conditions": conditions}
 
 
 def reasons(platform: Platform, name: str) -> list[tuple[str, str, str]]:

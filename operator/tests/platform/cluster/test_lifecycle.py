@@ -87,8 +87,8 @@ class Aged:
     def _claims(self) -> dict[str, str]:
         """But for those of test namespaces: what is in them is thrown away, and a volume comes with the first use."""
         items = self.platform.get("persistentvolumeclaims", "-A")["items"]
-        found = {f"{i['metadata']['namespace']}/{i['metadata']['name']}": i["spec"].get("volumeName") for i in items}
-        return {name: str(volume) for name, volume in found.items() if not name.startswith(ROOMS)}
+        volumes = {f"{i['metadata']['namespace']}/{i['metadata']['name']}": i["spec"].get("volumeName") for i in items}
+        return {name: str(volume) for name, volume in volumes.items() if not name.startswith(ROOMS)}
 
     def _recordings(self) -> list[Any]:
         """All messages of the recording, read back from database and segments."""
@@ -139,9 +139,9 @@ def aged(pytestconfig: pytest.Config, no_demo: None, tmp_path_factory: pytest.Te
         story = play(platform, SCENARIO, VARIANT, tmp_path_factory.mktemp("story"))
     assert story.code == 0, story.talk[-3000:]
     platform.kubectl("apply", "-f", "-", text=task(KEPT_TASK, "nobody-knows", {}))
-    found = Aged(platform, {"events": [entry["event"] for entry in story.report["audit"] if entry["event"]]})
-    found.seen |= found.holds()
-    yield found
+    stage = Aged(platform, {"events": [entry["event"] for entry in story.report["audit"] if entry["event"]]})
+    stage.seen |= stage.holds()
+    yield stage
     platform.access.disconnect()
     if os.environ.get("ROBOTKUBE_KEEP_CLUSTER") != "1":
         platform.provider.down()
@@ -168,8 +168,8 @@ def test_an_upgrade_keeps_everything_and_renews_the_definition_of_tasks(aged: Ag
 
 def condition(platform: Platform, name: str, kind: str) -> str:
     """The status of a task's condition, empty when it has none."""
-    found = platform.get("-n", KEPT_NAMESPACE, "taskdescription", name)
-    conditions = {entry["type"]: entry["status"] for entry in found.get("status", {}).get("conditions", [])}
+    description = platform.get("-n", KEPT_NAMESPACE, "taskdescription", name)
+    conditions = {entry["type"]: entry["status"] for entry in description.get("status", {}).get("conditions", [])}
     return conditions.get(kind, "")
 
 
@@ -181,8 +181,8 @@ def kill_manager(platform: Platform) -> None:
 
 def recorders(platform: Platform) -> list[str]:
     """Pods and Applications of recorders."""
-    found = [pod["metadata"]["name"] for pod in platform.get("-n", KEPT_NAMESPACE, "pods")["items"]]
-    return [name for name in (*found, *platform.access.applications()) if "recorder-" in name]
+    names = [pod["metadata"]["name"] for pod in platform.get("-n", KEPT_NAMESPACE, "pods")["items"]]
+    return [name for name in (*names, *platform.access.applications()) if "recorder-" in name]
 
 
 @pytest.mark.parametrize("moment", ["", "Accepted", "Committed"], ids=["created", "accepted", "committed"])

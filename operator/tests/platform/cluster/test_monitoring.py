@@ -52,13 +52,13 @@ def watching(platform: Platform, story: Story, tmp_path_factory: pytest.TempPath
 
 def pods_with_pages(platform: Platform) -> set[str]:
     """`<namespace>/<name>` of the pods of platform and agents that have a port `health` and run."""
-    found = set()
+    named = set()
     for namespace in (PLATFORM, GATE, *platform.agents):
         for pod in platform.get("-n", namespace, "pods")["items"]:
             ports = {port.get("name") for one in pod["spec"]["containers"] for port in one.get("ports", ())}
             if "health" in ports and pod["status"]["phase"] == "Running" and "deletionTimestamp" not in pod["metadata"]:
-                found.add(f"{namespace}/{pod['metadata']['name']}")
-    return found
+                named.add(f"{namespace}/{pod['metadata']['name']}")
+    return named
 
 
 def test_it_reads_every_pod_that_has_a_page(platform: Platform, watching: Prometheus) -> None:

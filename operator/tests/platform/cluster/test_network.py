@@ -46,7 +46,7 @@ def attached(platform: Platform) -> dict[str, Attached]:
     api, folders = platform.provider.api(), platform.provider.folders
     labels = {one["metadata"]["name"]: one["metadata"].get("labels") or {} for one in api.get(NAMESPACES)["items"]}
     pods = dict(known_pod(one) for one in api.get("/api/v1/pods")["items"])
-    found: dict[str, Attached] = {}
+    namespaces: dict[str, Attached] = {}
     for node, holder in enforcement.holders(folders).items():
         for path in (folders.node(node) / "cni-state" / RESULTS).glob("*"):  # no folder before a node's first pod
             document = json.loads(path.read_text(encoding="utf-8"))
@@ -56,8 +56,8 @@ def attached(platform: Platform) -> dict[str, Attached]:
                 namespace = labels[link.namespace]
                 peer = NetworkPeer(link.name, link.address, link.namespace, pod.labels, namespace, pod.ports)
                 one = Attached(peer, Path(f"/proc/{holder.pid}/root{document['netns']}"))
-                found[one.key] = one
-    return found
+                namespaces[one.key] = one
+    return namespaces
 
 
 @pytest.fixture(scope="module")

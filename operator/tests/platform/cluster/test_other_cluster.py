@@ -43,11 +43,11 @@ def platform(
         patch.setenv(admission_files.VARIABLE, admission_files.OFF)
         request = demo.Request(SCENARIO, settings, Choice(NAME), "platform", kept, values=VALUES)
         installer = demo.bring_up(request, Steps(STEPS))
-        found = Platform(installer, Embedded(NAME, installer.binaries), Access(installer.kubeconfig), scenario)
-    yield found
-    found.access.disconnect()
+        installed = Platform(installer, Embedded(NAME, installer.binaries), Access(installer.kubeconfig), scenario)
+    yield installed
+    installed.access.disconnect()
     if os.environ.get("ROBOTKUBE_KEEP_CLUSTER") != "1":
-        found.provider.down()
+        installed.provider.down()
 
 
 def foreign_pod() -> str:

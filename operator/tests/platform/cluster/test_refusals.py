@@ -52,8 +52,8 @@ def test_argo_cd_is_not_told_of_a_chart_that_nobody_verified(platform: Platform,
         lines = platform.kubectl(*GENERATOR_LOG).splitlines()
         return [line[line.index(begin) :] for line in lines if begin in line]
 
-    found = eventually(f"{name} is refused", said, REFUSED_SECONDS_MAX)
-    assert REFUSAL.pattern.search(found[-1])
+    refusal = eventually(f"{name} is refused", said, REFUSED_SECONDS_MAX)
+    assert REFUSAL.pattern.search(refusal[-1])
     assert application(platform, name) == {}
     assert reached_nothing(platform)
 

@@ -47,14 +47,14 @@ def platform(
     with pytest.MonkeyPatch.context() as patch, spoken(pytestconfig):
         patch.setenv(admission_files.VARIABLE, admission_files.OFF)
         installer = demo.bring_up(demo.Request(SCENARIO, settings, Choice(NAME), "platform"), Steps(STEPS))
-        found = Platform(installer, Embedded(NAME, installer.binaries), Access(installer.kubeconfig), scenario)
-    eventually("all Applications synced and healthy", found.settled)
-    with asleep(found, "manager"):
-        bring_to_main(found, tmp_path_factory.mktemp("releases"))
-        yield found
-    found.access.disconnect()
+        installed = Platform(installer, Embedded(NAME, installer.binaries), Access(installer.kubeconfig), scenario)
+    eventually("all Applications synced and healthy", installed.settled)
+    with asleep(installed, "manager"):
+        bring_to_main(installed, tmp_path_factory.mktemp("releases"))
+        yield installed
+    installed.access.disconnect()
     if os.environ.get("ROBOTKUBE_KEEP_CLUSTER") != "1":
-        found.provider.down()
+        installed.provider.down()
 
 
 def refusal(platform: Platform, name: str, *words: str) -> None:

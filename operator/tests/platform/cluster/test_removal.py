@@ -101,9 +101,9 @@ def test_a_changed_deployment_is_as_its_chart_renders_it_again(platform: Platfor
     platform.kubectl("-n", AGENT, *patch)
 
     def restored() -> bool:
-        found = platform.deployment(AGENT, RELEASE)
-        note = found["metadata"]["annotations"].get("example.com/note")
-        return bool(found["spec"] == before["spec"]) and note is None
+        deployment = platform.deployment(AGENT, RELEASE)
+        note = deployment["metadata"]["annotations"].get("example.com/note")
+        return bool(deployment["spec"] == before["spec"]) and note is None
 
     eventually("the Deployment is restored", restored, GONE_SECONDS_MAX)
     eventually("it is said", lambda: said(platform, "Restored", f"Deployment {AGENT}/{RELEASE} was restored"))

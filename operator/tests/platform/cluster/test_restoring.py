@@ -26,8 +26,8 @@ def test_a_deleted_deployment_comes_back(platform: Platform) -> None:
     platform.kubectl("-n", "vehicle-02", "delete", "deployment", RELEASE, "--wait=false")
 
     def restored() -> bool:
-        found = platform.deployment("vehicle-02", RELEASE)
-        other = found and found["metadata"]["uid"] != before["metadata"]["uid"]
+        deployment = platform.deployment("vehicle-02", RELEASE)
+        other = deployment and deployment["metadata"]["uid"] != before["metadata"]["uid"]
         return bool(other) and platform.available("vehicle-02", RELEASE)
 
     eventually("the Deployment is back", restored, RESTORED_SECONDS_MAX)
@@ -42,7 +42,7 @@ def test_a_deployment_scaled_by_hand_is_put_right(platform: Platform) -> None:
     assert changed > before["metadata"]["generation"]
 
     def restored() -> bool:
-        found = platform.deployment("vehicle-02", RELEASE)
-        return found["spec"] == before["spec"] and platform.available("vehicle-02", RELEASE)
+        deployment = platform.deployment("vehicle-02", RELEASE)
+        return deployment["spec"] == before["spec"] and platform.available("vehicle-02", RELEASE)
 
     eventually("the release runs again", restored, RESTORED_SECONDS_MAX)

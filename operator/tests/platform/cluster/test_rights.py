@@ -166,7 +166,7 @@ def test_only_the_gate_stands_where_its_key_is(platform: Platform) -> None:
 
 def texts(secret: Mapping[str, Any]) -> str:
     """What a Secret says; a release of Helm's is compressed and encoded once more."""
-    found = [base64.b64decode(value) for value in secret.get("data", {}).values()]
+    values = [base64.b64decode(value) for value in secret.get("data", {}).values()]
     if secret["type"] == "helm.sh/release.v1":
-        found = [gzip.decompress(base64.b64decode(value)) for value in found]
-    return "".join(value.decode(errors="replace") for value in found)
+        values = [gzip.decompress(base64.b64decode(value)) for value in values]
+    return "".join(value.decode(errors="replace") for value in values)

@@ -48,8 +48,8 @@ class Watched:
 
     def restarts(self) -> int:
         """Of its containers, all together."""
-        found = self.stage.platform.get("-n", AGENT, "pod", self.pod)
-        return sum(one["restartCount"] for one in found["status"]["containerStatuses"])
+        pod = self.stage.platform.get("-n", AGENT, "pod", self.pod)
+        return sum(one["restartCount"] for one in pod["status"]["containerStatuses"])
 
     def ask(self, entry: dict[str, Any]) -> None:
         """A person's pull request with another distance."""
@@ -72,8 +72,8 @@ class Watched:
         return int(settings["applied"]) if settings["applied"] > before else 0
 
     def _distance(self) -> int:
-        found = self.stage.platform.get("-n", AGENT, "configmap", "event-detector")
-        (rule,) = yaml.safe_load(found["data"]["config.yaml"])["rules"]
+        config_map = self.stage.platform.get("-n", AGENT, "configmap", "event-detector")
+        (rule,) = yaml.safe_load(config_map["data"]["config.yaml"])["rules"]
         return int(rule["start_distance_m"])
 
 
@@ -85,13 +85,13 @@ def watched(stage: Stage) -> Iterator[Watched]:
         stage.asked_by_a_person(first),
         stage.publishing(f"{AGENT}/{BRIDGE}", (TOPIC, POSE_TYPE, pose(0.0)), hertz=HERTZ),
     ):
-        found = Watched(stage, stage.await_running(RELEASE)[RELEASE].name, first)
+        rule_watch = Watched(stage, stage.await_running(RELEASE)[RELEASE].name, first)
         try:
-            eventually("the buffer is full", lambda: buffered(found.status()) >= FULL)
-            yield found
+            eventually("the buffer is full", lambda: buffered(rule_watch.status()) >= FULL)
+            yield rule_watch
         finally:
-            if found.asked != first:
-                found.ask(first)
+            if rule_watch.asked != first:
+                rule_watch.ask(first)
 
 
 def buffered(status: Mapping[str, Any]) -> int:
@@ -112,15 +112,15 @@ def test_merged_rules_are_at_work_in_time(stage: Stage) -> None:
 def changed(stage: Stage, changes: int) -> list[float]:
     """Seconds of each of so many changes of one detector, which keeps its process and its buffer."""
     taken: list[float] = []
-    with watched(stage) as found:
-        before = found.status()
+    with watched(stage) as reloaded:
+        before = reloaded.status()
         for number in range(1, changes + 1):
-            taken.append(found.seconds_of_change(FIRST_METRES + number))
-            after = found.status()
+            taken.append(reloaded.seconds_of_change(FIRST_METRES + number))
+            after = reloaded.status()
             assert buffered(after) >= FULL, "what was buffered is still there"
         assert after["topics"][TOPIC]["buffer"]["cleared"] == 0
         assert after["topics"][TOPIC]["received"] > before["topics"][TOPIC]["received"]
         assert (after["started"], after["rules"]["names"]) == (before["started"], before["rules"]["names"])
-        assert [pod.name for pod in stage.pods(RELEASE)] == [found.pod]
-        assert found.restarts() == 0
+        assert [pod.name for pod in stage.pods(RELEASE)] == [reloaded.pod]
+        assert reloaded.restarts() == 0
     return taken

@@ -95,7 +95,7 @@ def test_the_commands_to_look_around_work(platform: Platform, story: Story, tmp_
 def test_all_our_namespaces_enforce_restricted_pods(platform: Platform) -> None:
     items = platform.get("namespaces")["items"]
     labels = {item["metadata"]["name"]: item["metadata"].get("labels", {}) for item in items}
-    enforced = {name for name, found in labels.items() if found.get(ENFORCE) == "restricted"}
+    enforced = {name for name, of_namespace in labels.items() if of_namespace.get(ENFORCE) == "restricted"}
     assert {"robotkube", "robotkube-gate", "argocd", *platform.agents} <= enforced
 
 
@@ -110,7 +110,7 @@ def test_every_pod_runs_as_an_ordinary_user_on_a_read_only_root(platform: Platfo
 
 def problems(pod: Mapping[str, Any]) -> list[str]:
     """What a pod's containers may that they should not."""
-    general, found = pod["spec"].get("securityContext", {}), []
+    general, broken = pod["spec"].get("securityContext", {}), []
     for container in [*pod["spec"]["containers"], *pod["spec"].get("initContainers", [])]:
         own = container.get("securityContext", {})
         wanted = {
@@ -122,8 +122,8 @@ def problems(pod: Mapping[str, Any]) -> list[str]:
             "default seccomp": (own.get("seccompProfile") or general.get("seccompProfile", {})).get("type")
             == "RuntimeDefault",
         }
-        found += [f"{container['name']}: {what}" for what, holds in wanted.items() if not holds]
-    return found
+        broken += [f"{container['name']}: {what}" for what, holds in wanted.items() if not holds]
+    return broken
 
 
 def test_what_was_recorded_is_proved_by_its_seals(platform: Platform, story: Story) -> None:

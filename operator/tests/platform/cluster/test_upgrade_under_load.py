@@ -83,14 +83,14 @@ class Played:
 def look(platform: Platform) -> Seen:
     """The platform as it is now."""
     tasks = platform.get("taskdescriptions", "-A")["items"]
-    found = platform.get("customresourcedefinitions", *DEFINITIONS)["items"]
+    definitions = platform.get("customresourcedefinitions", *DEFINITIONS)["items"]
     manifest = platform.installer.helm("get", "manifest", NAMESPACE, "-n", NAMESPACE)
     return Seen(
         lives(platform.get("pods", "-A", "-l", "robotkube.io/agent")["items"]),
         lives(platform.get("-n", NAMESPACE, "pods", "-l", "app.kubernetes.io/name=broker")["items"]),
         {task["metadata"]["uid"]: task["spec"] for task in tasks},
         columns(platform),
-        versions(found),
+        versions(definitions),
         versions(one for one in yaml.load_all(manifest, Loader=yaml.CSafeLoader) if one),
     )
 

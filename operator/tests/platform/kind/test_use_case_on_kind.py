@@ -72,10 +72,12 @@ def engine(pytestconfig: pytest.Config) -> Iterator[DockerEngine]:
         choosing.remove_running(lambda text: print(f"\n{text}", file=sys.stderr, flush=True))
         building.ensure()
         kind_cli.ensure()
-    with docker_engine(prepared.binaries / "runc") as found:
-        assert f"{naming.reference()}\ndocker has it" in found.run("make", "kind-node-image", seconds=LOAD_SECONDS_MAX)
-        yield found
-    assert left_of(found) == []
+    with docker_engine(prepared.binaries / "runc") as started:
+        assert f"{naming.reference()}\ndocker has it" in started.run(
+            "make", "kind-node-image", seconds=LOAD_SECONDS_MAX
+        )
+        yield started
+    assert left_of(started) == []
 
 
 def test_the_image_that_is_made_here_boots_a_cluster(engine: DockerEngine) -> None:

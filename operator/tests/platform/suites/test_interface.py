@@ -37,9 +37,9 @@ def test_a_wrong_chart_is_refused_with_words_that_say_it(results: Mapping[str, S
     result, mistake = results[name], MISTAKES[name]
     said = suite_namespaces.said(result)
     assert result.outcome == "failed", said
-    found = {check.name: check for check in result.failed}
-    assert f"set first: {mistake.check}" in found, said
-    check = found[f"set first: {mistake.check}"]
+    failed = {check.name: check for check in result.failed}
+    assert f"set first: {mistake.check}" in failed, said
+    check = failed[f"set first: {mistake.check}"]
     assert mistake.found in check.found
     assert mistake.fix in check.fix
     assert all(check.name.startswith(("set first: ", "set second: ")) for check in result.failed), said

@@ -166,9 +166,9 @@ def results(platform: Platform, tmp_path_factory: pytest.TempPathFactory) -> Map
 def upgraded(result: SuiteResult, changed_to: str) -> None:
     assert (result.outcome, suite_namespaces.said(result)) == ("passed", "")
     assert {check.name for check in result.checks} == CHECKS
-    found = {check.name: check.found for check in result.checks}
-    assert found["upgrades"] == "from 0.1.2"
-    assert found[CHANGED].startswith(f"it opened the topics of {changed_to}, and its pod stayed; shown to be at work: ")
+    words = {check.name: check.found for check in result.checks}
+    assert words["upgrades"] == "from 0.1.2"
+    assert words[CHANGED].startswith(f"it opened the topics of {changed_to}, and its pod stayed; shown to be at work: ")
 
 
 @pytest.mark.thorough
@@ -265,7 +265,7 @@ IN_A_TEST_NAMESPACE = {
 
 def allowed(reviews: client.AuthorizationV1Api, namespace: str) -> dict[str, set[str]]:
     """Resource/subresource -> verbs that the runner may use on it in a namespace (empty: everywhere)."""
-    found: dict[str, set[str]] = {}
+    verbs: dict[str, set[str]] = {}
     for group, resource, subresource in RESOURCES:
         for verb in VERBS:
             attributes = client.V1ResourceAttributes(
@@ -274,8 +274,8 @@ def allowed(reviews: client.AuthorizationV1Api, namespace: str) -> dict[str, set
             groups = ["system:serviceaccounts", "system:serviceaccounts:robotkube", "system:authenticated"]
             spec = client.V1SubjectAccessReviewSpec(user=RUNNER, groups=groups, resource_attributes=attributes)
             if reviews.create_subject_access_review(client.V1SubjectAccessReview(spec=spec)).status.allowed:
-                found.setdefault(f"{resource}/{subresource}", set()).add(verb)
-    return found
+                verbs.setdefault(f"{resource}/{subresource}", set()).add(verb)
+    return verbs
 
 
 @pytest.mark.thorough

@@ -30,7 +30,10 @@ def test_two_services_make_one_application(perception: RoadsidePerception) -> No
 
 
 def test_objects_come_out_of_one_service_and_their_tracks_out_of_the_other(perception: RoadsidePerception) -> None:
-    [found] = perception.objects.poses
+    [object_pose] = perception.objects.poses
     assert len({track["id"] for track in perception.tracks}) == 1
-    for x, y in ((found.position.x, found.position.y), (perception.tracks[0]["x"], perception.tracks[0]["y"])):
+    for x, y in (
+        (object_pose.position.x, object_pose.position.y),
+        (perception.tracks[0]["x"], perception.tracks[0]["y"]),
+    ):
         assert np.hypot(x - PLACE_M[0], y - PLACE_M[1]) < 3.0

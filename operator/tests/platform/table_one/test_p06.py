@@ -38,8 +38,8 @@ def test_what_ran_on_a_lost_node_runs_on_another(stage: Stage) -> None:
     lost = release.partition("/")[0]
     moved = f"{OTHER[lost]}/{NAME}"
     with stage.stopped(pod.node):
-        found = stage.await_running(moved, seconds=MOVED_SECONDS_MAX)[moved]
-        assert stage.node_labels(found.node)["robotkube.io/agent"] == OTHER[lost]
+        moved_pod = stage.await_running(moved, seconds=MOVED_SECONDS_MAX)[moved]
+        assert stage.node_labels(moved_pod.node)["robotkube.io/agent"] == OTHER[lost]
         assert stage.releases_of(key) == {moved}
         commit = stage.commit_of(moved)
         assert "node" in commit.trailers["Cause"]
@@ -47,4 +47,4 @@ def test_what_ran_on_a_lost_node_runs_on_another(stage: Stage) -> None:
         assert OTHER[lost] in stage.message(commit)
         assert f"releases/{release}.yaml" in commit.paths
     eventually("the pod on the node that was lost is gone", lambda: stage.pods(release) == [])
-    assert [one.uid for one in stage.pods(moved)] == [found.uid]
+    assert [one.uid for one in stage.pods(moved)] == [moved_pod.uid]

@@ -73,7 +73,8 @@ def test_the_image_of_one_service_is_replaced_on_one_agent_then_on_all(stage: St
         """Everywhere; each pod is another one, in the service's own image."""
         pods = {release: stage.pods(release) for release in DETECTIONS}
         return all(
-            len(found) == 1 and found[0].ready and found[0].images == (images[CHART],) for found in pods.values()
+            len(of_release) == 1 and of_release[0].ready and of_release[0].images == (images[CHART],)
+            for of_release in pods.values()
         ) and {stage.annotation(release, "chart-version") for release in DETECTIONS} == {NEW}
 
     since = stage.commits()[0].sha
@@ -95,8 +96,8 @@ def updates(stage: Stage, since: str) -> list[set[str]]:
     in one."""
     files = {f"releases/{release}.yaml": release for release in DETECTIONS}
     new = takewhile(lambda commit: commit.sha != since, stage.commits())
-    found = [commit for commit in new if commit.trailers.get("Cause") == ("update",)]
-    changed = [{path for path in commit.paths if path.startswith("releases/")} for commit in found]
+    commits = [commit for commit in new if commit.trailers.get("Cause") == ("update",)]
+    changed = [{path for path in commit.paths if path.startswith("releases/")} for commit in commits]
     ours = [paths for paths in changed if paths & files.keys()]
     assert set().union(*ours) <= files.keys()
     return [{files[path] for path in paths} for paths in reversed(ours)]

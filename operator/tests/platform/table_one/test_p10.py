@@ -49,8 +49,8 @@ def assert_results_return(stage: Stage) -> None:
     with stage.publishing(f"{ASKING}/{BRIDGE}", seen, hertz=5):
         [*_, objects] = stage.receive(f"{ASKING}/{BRIDGE}", RESULTS, POSES, 5)
     assert objects.header.frame_id == frame
-    [found] = objects.poses
-    assert math.dist((found.position.x, found.position.y), lidar_clouds.seen_at(AHEAD)) < 1.0
+    [object_pose] = objects.poses
+    assert math.dist((object_pose.position.x, object_pose.position.y), lidar_clouds.seen_at(AHEAD)) < 1.0
 
 
 def test_demands_are_offloaded_postponed_refused_and_cancelled(stage: Stage) -> None:

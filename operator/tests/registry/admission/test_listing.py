@@ -81,9 +81,9 @@ class Stage:
 
     def listed(self) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Charts and images."""
-        found = self.listing.read()
-        assert found is not None
-        return found.charts, found.verified
+        versions = self.listing.read()
+        assert versions is not None
+        return versions.charts, versions.verified
 
 
 APP = artefact()
@@ -126,10 +126,10 @@ def test_an_entry_with_a_foreign_image_is_not_listed(key: KeyFile, tmp_path: Pat
     changed = {**files, path: files[path].replace(digest(1), digest(3))}
     assert Stage(key, tmp_path, changed).listed() == ((), ())
     stage = Stage(key, tmp_path, files, changed)
-    found = stage.listing.read()
-    assert found is not None
-    assert found.verified == (digest(1),)
-    assert "the entry with its images is not what was verified" in " ".join(found.problems)
+    versions = stage.listing.read()
+    assert versions is not None
+    assert versions.verified == (digest(1),)
+    assert "the entry with its images is not what was verified" in " ".join(versions.problems)
 
 
 @pytest.mark.parametrize("missing", ["evidence", "signature", "statement"])
@@ -141,11 +141,11 @@ def test_without_its_signature_a_version_is_not_listed(key: KeyFile, tmp_path: P
         files = version(signing_key(tmp_path / "other"))
     else:
         files = {path: text for path, text in files.items() if not path.endswith("summary.json")}
-    found = Stage(key, tmp_path / "keys", catalogue(files)).listing.read()
-    assert found is not None
-    assert (found.charts, found.verified) == ((), ())
-    assert found.problems[0].startswith(f"app@0.1.0@{APP.digest} is not listed: summary: ")
-    shown("admission", found.problems[0], "entry-called-verified")
+    versions = Stage(key, tmp_path / "keys", catalogue(files)).listing.read()
+    assert versions is not None
+    assert (versions.charts, versions.verified) == ((), ())
+    assert versions.problems[0].startswith(f"app@0.1.0@{APP.digest} is not listed: summary: ")
+    shown("admission", versions.problems[0], "entry-called-verified")
 
 
 def test_evidence_of_another_version_is_none(key: KeyFile, tmp_path: Path) -> None:

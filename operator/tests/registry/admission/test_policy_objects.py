@@ -83,11 +83,11 @@ class Stage:
 
     def changed(self, kind: str, path: str) -> None:
         """Somebody changed it: what its watch says."""
-        found = self.server.objects.get(path)
+        current = self.server.objects.get(path)
         [watch] = [watch for watch in self.place._watches if path.startswith(watch._path)]
         name = path.rpartition("/")[2]
         key = f"robotkube/{name}" if kind == "ConfigMap" else f"/{name}"
-        watch._set(key, watch._reduce(found) if found else None)
+        watch._set(key, watch._reduce(current) if current else None)
 
 
 @pytest.fixture

@@ -47,8 +47,8 @@ def bundle(tmp_path_factory: pytest.TempPathFactory) -> Bundle:
 
 @pytest.fixture(scope="module")
 def registry(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Distribution]:
-    with running(distribution.ensure() / "registry", tmp_path_factory.mktemp("registry")) as found:
-        yield found
+    with running(distribution.ensure() / "registry", tmp_path_factory.mktemp("registry")) as running_registry:
+        yield running_registry
 
 
 @pytest.fixture(scope="module")
@@ -64,8 +64,8 @@ def pushed(bundle: Bundle, registry: Distribution, tmp_path_factory: pytest.Temp
 
 @pytest.fixture
 def client(registry: Distribution) -> Iterator[OciRegistry]:
-    with OciRegistry(f"https://{registry.host}", USER, PASSWORD, authority=registry.authority) as found:
-        yield found
+    with OciRegistry(f"https://{registry.host}", USER, PASSWORD, authority=registry.authority) as connected:
+        yield connected
 
 
 def test_every_digest_is_the_same(bundle: Bundle, pushed: str, client: OciRegistry) -> None:

@@ -46,15 +46,15 @@ def socket(tmp_path: Path) -> Iterator[Path]:
     with (tmp_path / "log").open("w") as log:
         process = subprocess.Popen([*command, "--config", str(state / "containerd.toml")], stdout=log, stderr=log)
         try:
-            found = state / "containerd.sock"
-            version = [program("ctr"), "--address", str(found), "version"]
+            path = state / "containerd.sock"
+            version = [program("ctr"), "--address", str(path), "version"]
             waiting.until(
-                lambda: found.exists() and subprocess.run(version, capture_output=True, check=False).returncode == 0,
+                lambda: path.exists() and subprocess.run(version, capture_output=True, check=False).returncode == 0,
                 "containerd",
                 seconds=60,
                 state=lambda: (tmp_path / "log").read_text()[-1000:],
             )
-            yield found
+            yield path
         finally:
             process.terminate()
             process.wait(END_SECONDS_MAX)

@@ -41,9 +41,9 @@ def processor_seconds() -> float:
 
 @pytest.fixture(scope="module")
 def schemas() -> Iterator[BoundedSchemas]:
-    found = BoundedSchemas()
-    yield found
-    found.close()
+    bounded = BoundedSchemas()
+    yield bounded
+    bounded.close()
 
 
 @pytest.mark.parametrize("value", [{"name": "abc"}, {"name": "ABC"}, {"name": 3}, [], None])

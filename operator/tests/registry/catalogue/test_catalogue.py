@@ -70,10 +70,10 @@ def test_chart_versions_are_valid_with_and_without_a_status(path: Path) -> None:
     assert validate(schema("chart-version"), load(path)) == []
     published = {**load(path), "status": STATUS}
     assert validate(schema("chart-version"), published) == []
-    found = read_chart_version(write_mapping(published), str(path.relative_to(REGISTRY)))
-    assert (found.chart, found.version) == (path.parent.name, path.stem)
-    folders = [load(file) for file in REPOSITORY.glob(f"charts/*/{found.chart}/Chart.yaml")]
-    assert (found.chart, found.version) in [(chart["name"], chart["version"]) for chart in folders]
+    version = read_chart_version(write_mapping(published), str(path.relative_to(REGISTRY)))
+    assert (version.chart, version.version) == (path.parent.name, path.stem)
+    folders = [load(file) for file in REPOSITORY.glob(f"charts/*/{version.chart}/Chart.yaml")]
+    assert (version.chart, version.version) in [(chart["name"], chart["version"]) for chart in folders]
 
 
 def test_the_release_policy_is_valid() -> None:
@@ -161,9 +161,9 @@ RELEASES = everything(TASKS)
 @pytest.mark.parametrize("path", sorted(RELEASES))
 def test_composed_values_fit_the_charts(path: str) -> None:
     release = RELEASES[path]
-    found = json.loads((REPOSITORY / "charts" / "apps" / release.chart / "values.schema.json").read_text())
+    chart_schema = json.loads((REPOSITORY / "charts" / "apps" / release.chart / "values.schema.json").read_text())
     values = {**release.values, "global": {"plan": "p"}}
-    assert validate(found, values) == []
+    assert validate(chart_schema, values) == []
 
 
 def test_every_chart_is_used() -> None:
@@ -195,15 +195,15 @@ def test_every_chart_is_used() -> None:
 def test_results_have_a_name_that_their_agent_may_write(sensor: str, agent: str, place: str) -> None:
     """On the sensor's own agent the sensor's; elsewhere the same below the agent's: the sensor's agent hears it."""
     releases = everything({"object-detection": {"sensor": sensor}}, perceiving=agent)
-    found = {release.key: release for release in releases.values()}
-    detection = found[f"{agent}/object-detection-{sensor}"].values["detection"]
+    by_key = {release.key: release for release in releases.values()}
+    detection = by_key[f"{agent}/object-detection-{sensor}"].values["detection"]
     results = [f"{place}/{word}" for word in ("objects", "uncertainty")]
     assert [detection["objects"], detection["uncertainty"]] == results
-    bridge = found[f"{agent}/mqtt-bridge"].values["bridge"]
+    bridge = by_key[f"{agent}/mqtt-bridge"].values["bridge"]
     assert [topic["name"] for topic in bridge["out"] if not topic["name"].endswith("/pose")] == results
     clouds = [topic["name"] for topic in bridge["in"] if topic["name"].endswith("/pointcloud")]
     assert clouds == ([] if sensor == agent else ["/vehicles/vehicle_00/lidar_center/pointcloud"])
-    hearing = [key.split("/")[0] for key, one in found.items() if brought_in(one) & set(results)]
+    hearing = [key.split("/")[0] for key, one in by_key.items() if brought_in(one) & set(results)]
     assert hearing == (["cloud-0"] if sensor == agent else ["vehicle-00"])
 
 

@@ -61,15 +61,15 @@ def try_case(number: int, registry: Path, everything: bool) -> bool:
     (registry / path).write_bytes(data)
     try:
         sources = read_sources(registry, REPOSITORY / "charts" / "apps")
-        found = validate_sources(sources if everything else without_others(sources, path), TOOLS)
-        for finding in found:
+        problems = validate_sources(sources if everything else without_others(sources, path), TOOLS)
+        for finding in problems:
             assert finding.file
             assert finding.key
             assert 0 < len(finding.text) <= FINDING_CHARACTERS_MAX, finding
         use(dict(sources.files))
     finally:
         (registry / path).write_text(FILES[path])
-    return not found
+    return not problems
 
 
 def without_others(sources: CatalogueSources, path: str) -> CatalogueSources:
@@ -86,15 +86,15 @@ def use(files: dict[str, str]) -> None:
         path: f"{text}\nstatus: {{state: staged, digest: 'sha256:{'0' * 64}'}}\n" for path, text in files.items()
     }
     mixed = {path: published[path] if path.startswith("charts/") else text for path, text in files.items()}
-    for found in (
+    for value in (
         read_catalogue(files, published=False),
         read_catalogue({**mixed, "policies/release.yaml": "assurance: none\n"}),
     ):
-        entries = entry_documents(found)
+        entries = entry_documents(value)
         search(entries, Criteria(text="a", provides="b", guarantee="c"))
         upgrade_rows(entries)
-        demands = [Demand(name, name, {"vehicles": ["vehicle-00"]}, agent="vehicle-00") for name in found.applications]
-        compose(demands, Inputs(found, FLEET, {}, TEMPLATES.render, validate))
+        demands = [Demand(name, name, {"vehicles": ["vehicle-00"]}, agent="vehicle-00") for name in value.applications]
+        compose(demands, Inputs(value, FLEET, {}, TEMPLATES.render, validate))
 
 
 def try_cases(numbers: range, tmp_path: Path, everything: bool) -> None:

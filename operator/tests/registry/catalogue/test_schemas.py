@@ -196,15 +196,15 @@ def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
 
 
 def changed(document: Any, path: tuple[Any, ...], value: Any) -> Any:
-    found = copy.deepcopy(document)
-    place = found
+    copied = copy.deepcopy(document)
+    place = copied
     for part in path[:-1]:
         place = place[part]
     if value is not GONE:
         place[path[-1]] = copy.deepcopy(value)
     elif path[-1] in place if isinstance(place, dict) else True:
         del place[path[-1]]
-    return found
+    return copied
 
 
 def reader_problems(name: str, document: Any) -> tuple[str, ...]:
@@ -244,5 +244,5 @@ def test_schema_and_reader_refuse_the_same(name: str) -> None:
 def test_closed_lists_agree() -> None:
     application, chart = schema("application")["$defs"], schema("chart-version")["$defs"]
     assert application["unit"]["enum"] == chart["guarantee"]["properties"]["unit"]["enum"] == list(UNITS)
-    kinds = [found["properties"]["kind"]["const"] for found in (application["mqttLink"], application["rosLink"])]
+    kinds = [link["properties"]["kind"]["const"] for link in (application["mqttLink"], application["rosLink"])]
     assert sorted(kinds) == sorted(LINK_KINDS)

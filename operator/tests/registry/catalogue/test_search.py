@@ -74,11 +74,11 @@ def test_guarantees_that_are_none(text: str) -> None:
     ],
 )
 def test_what_a_guarantee_is_worth(bound: str, number: float, unit: str, verified: bool, text: str) -> None:
-    found = shortfall(
+    missing = shortfall(
         GuaranteeRequirement("stop", bound, number, unit, verified), [Guarantee("stop", "atMost", 3, "s")]
     )
-    assert (text in found) if text else found == ""
-    assert "(declared)" in found or not text
+    assert (text in missing) if text else missing == ""
+    assert "(declared)" in missing or not text
 
 
 def test_find() -> None:
@@ -95,12 +95,12 @@ def test_find() -> None:
 
 
 def versions() -> Catalogue:
-    found = [
+    listed = [
         ChartVersion("x", "0.1.0", "verified", ""),
         ChartVersion("x", "0.2.0", "withdrawn", "", replaces="0.1.0"),
         ChartVersion("x", "0.10.0", "verified", "", replaces="0.2.0", skips=("0.1.0",)),
     ]
-    return Catalogue(charts={"x": tuple(found)})
+    return Catalogue(charts={"x": tuple(listed)})
 
 
 def test_the_graph() -> None:
@@ -154,8 +154,8 @@ def test_every_search_has_every_form(capsys: pytest.CaptureFixture[str], criteri
         assert "DECLARED" in out.splitlines()[0]
         assert "mqtt-bridge" in out
     else:
-        found = {entry["name"]: entry for entry in read_mapping(out, "found")["entries"]}
-        assert {guarantee["status"] for guarantee in found["mqtt-bridge"]["guarantees"]} == {"declared"}
+        by_name = {entry["name"]: entry for entry in read_mapping(out, "found")["entries"]}
+        assert {guarantee["status"] for guarantee in by_name["mqtt-bridge"]["guarantees"]} == {"declared"}
 
 
 def test_validate_on_the_command_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

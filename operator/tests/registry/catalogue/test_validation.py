@@ -106,17 +106,17 @@ def test_a_mistake_is_named(few: Path, mistake: Mistake) -> None:
     mistake.make(few)
     if mistake.file.startswith(APPLICATIONS):
         alone(few, mistake.file)
-    found = findings(few)
-    assert any(_names(f, mistake) for f in found), "\n".join(map(str, found))
-    assert all(";" in f.text for f in found), "no fix: " + "\n".join(map(str, found))
+    named = findings(few)
+    assert any(_names(f, mistake) for f in named), "\n".join(map(str, named))
+    assert all(";" in f.text for f in named), "no fix: " + "\n".join(map(str, named))
 
 
 @pytest.mark.parametrize("mistake", [*CHARTS, *LINKS], ids=lambda m: m.name)
 def test_a_difference_from_the_chart_is_named(few: Path, mistake: Mistake) -> None:
     mistake.make(few)
     alone(few, mistake.file)
-    found = findings(few, charts=True)
-    assert any(_names(f, mistake) for f in found), "\n".join(map(str, found))
+    named = findings(few, charts=True)
+    assert any(_names(f, mistake) for f in named), "\n".join(map(str, named))
 
 
 def _names(finding: SourceProblem, mistake: Mistake) -> bool:
@@ -127,7 +127,7 @@ def test_all_mistakes_come_at_once(few: Path) -> None:
     put(RECORDING, "spec.services[0].chart.name", "gone")(few)
     put(RECORDING, f"{REACTION}.recording", "{{ nothing }}")(few)
     both(put(BRIDGE, "spec.a", 1), put(BRIDGE, "spec.b", 2), write(RELEASE, b"["))(few)
-    found = [str(f) for f in findings(few)]
+    named = [str(f) for f in findings(few)]
     for wanted in (
         "chart.name",
         "unknown name 'nothing'",
@@ -135,7 +135,7 @@ def test_all_mistakes_come_at_once(few: Path) -> None:
         "spec.b: unknown",
         "release.yaml: document",
     ):
-        assert sum(wanted in text for text in found) == 1, found
+        assert sum(wanted in text for text in named) == 1, named
 
 
 DETECTOR = "registry/charts/event-detector/0.2.3.yaml"
@@ -151,7 +151,7 @@ def test_a_wrong_key_hides_only_what_depends_on_it(few: Path) -> None:
         put(RECORDING, "spec.services[0].values.detector.typo", 1),
         put(RECORDING, "spec.services[0].chart.requirements", [{"guarantee": "stop-time", "atMost": 0, "unit": "s"}]),
     )(few)
-    assert [found.key for found in findings(few, charts=True)] == [
+    assert [problem.key for problem in findings(few, charts=True)] == [
         "spec.surprise",
         "spec.links[0].topics[0].depth",
         "spec.services[0].chart.requirements[0]",
@@ -174,17 +174,17 @@ def test_what_follows_from_a_wrong_key_is_not_said(few: Path) -> None:
     ):
         before = (few / RECORDING).read_text()
         both(*changes)(few)
-        assert [found.key for found in findings(few, charts=True)] == keys
+        assert [problem.key for problem in findings(few, charts=True)] == keys
         (few / RECORDING).write_text(before)
 
 
 def test_a_template_that_is_none_is_named_whatever_its_names_are(few: Path) -> None:
     put(RECORDING, "spec.parameters.properties.vehicles.type", "liste")(few)
     put(RECORDING, f"{REACTION}.recording", "{{ nothing }}")(few)
-    assert [found.key for found in findings(few)] == ["spec.parameters", f"{REACTION}.recording"]
+    assert [problem.key for problem in findings(few)] == ["spec.parameters", f"{REACTION}.recording"]
     put(RECORDING, "spec.parameters", [])(few)
     put(RECORDING, f"{REACTION}.recording", "{{ a")(few)
-    assert [found.key for found in findings(few)] == ["spec.parameters", f"{REACTION}.recording"]
+    assert [problem.key for problem in findings(few)] == ["spec.parameters", f"{REACTION}.recording"]
 
 
 def test_a_wrong_key_of_an_entry_hides_neither_its_templates_nor_what_others_ask_of_it(few: Path) -> None:
@@ -196,8 +196,8 @@ def test_a_wrong_key_of_an_entry_hides_neither_its_templates_nor_what_others_ask
         put(RECORDING, "spec.services[0].values.detector.typo", 1),
         put(RECORDING, "spec.services[0].chart.version", ">=0.9.0"),
     )(few)
-    found = [(Path(one.file).name, one.key) for one in findings(few, charts=True)]
-    assert found == [
+    places = [(Path(one.file).name, one.key) for one in findings(few, charts=True)]
+    assert places == [
         ("pose-point-cloud-recording.yaml", "spec.services[0].chart.version"),
         ("0.2.3.yaml", "spec.interfaces[0].name"),
         ("0.2.3.yaml", "spec.replaces"),
@@ -209,8 +209,8 @@ def test_a_wrong_key_of_an_entry_hides_neither_its_templates_nor_what_others_ask
 def test_values_are_compared_with_a_chart_whose_entry_cannot_be_read(few: Path) -> None:
     (few / DETECTOR).write_text("a: [")
     put(RECORDING, "spec.services[0].values.detector.typo", 1)(few)
-    found = [(Path(one.file).name, one.key) for one in findings(few, charts=True)]
-    assert found == [
+    places = [(Path(one.file).name, one.key) for one in findings(few, charts=True)]
+    assert places == [
         ("pose-point-cloud-recording.yaml", "spec.services[0].values.detector"),
         ("0.2.3.yaml", "document"),
     ]
@@ -220,8 +220,8 @@ def test_every_file_of_a_chart_is_read(few: Path) -> None:
     chart = few / "charts" / "event-detector"
     for name, text in (("Chart.yaml", "name: a b\n"), ("values.yaml", "a: ["), ("values.schema.json", "{")):
         (chart / name).write_text(text)
-    found = [(Path(one.file).name, one.text.partition(": ")[0]) for one in findings(few, charts=True)]
-    assert found == [
+    places = [(Path(one.file).name, one.text.partition(": ")[0]) for one in findings(few, charts=True)]
+    assert places == [
         ("Chart.yaml", "name 'a b' is malformed; write the name of the folder"),
         ("Chart.yaml", "version is missing; write one such as 0.1.0"),
         ("values.schema.json", "not readable as JSON"),
@@ -235,7 +235,7 @@ def test_a_pattern_is_tried_with_texts_that_fit_it(few: Path) -> None:
     both(put(PERCEPTION, f"{sensor}.pattern", "^unit-[0-9]{3}$"), put(PERCEPTION, f"{sensor}.examples", GONE))(few)
     assert findings(few) == []
     put(PERCEPTION, f"{sensor}.pattern", "^(?=b)a$")(few)
-    assert [found.key for found in findings(few)] == [sensor]
+    assert [problem.key for problem in findings(few)] == [sensor]
 
 
 def test_a_broken_file_does_not_make_others_dangle(few: Path) -> None:

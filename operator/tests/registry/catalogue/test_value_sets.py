@@ -28,8 +28,8 @@ def loaded(path: Path) -> dict[str, Any]:
 def folder_of(entry: Path) -> Path:
     """The chart of this version; older versions have folders of their own."""
     folders = [path.parent for path in REPOSITORY.glob(f"charts/*/{entry.parent.name}/Chart.yaml")]
-    [found] = [folder for folder in folders if loaded(folder / "Chart.yaml")["version"] == entry.stem]
-    return found
+    [match] = [folder for folder in folders if loaded(folder / "Chart.yaml")["version"] == entry.stem]
+    return match
 
 
 @pytest.mark.parametrize("path", ENTRIES, ids=lambda path: f"{path.parent.name}-{path.stem}")
@@ -40,12 +40,12 @@ def test_sets_fit_the_charts_schema_and_give_different_topics(path: Path) -> Non
     sets = filled_sets(loaded(path), "cloud-0", 1_763_750_000_000_000_000, render)
     assert len(sets) == 2
     topics = {}
-    for found in sets:
-        values = overlay(loaded(chart / "values.yaml"), found.values)
-        assert list(validate(schema, values)) == [], found.name
+    for test_set in sets:
+        values = overlay(loaded(chart / "values.yaml"), test_set.values)
+        assert list(validate(schema, values)) == [], test_set.name
         assert values["placement"]["agent"] == "cloud-0"
-        topics[found.name] = expected_topics(version.interfaces, values, render)
-        assert topics[found.name], found.name
+        topics[test_set.name] = expected_topics(version.interfaces, values, render)
+        assert topics[test_set.name], test_set.name
     assert [check for check in declaration_checks(version.interfaces, topics) if not check.passed] == []
 
 

@@ -92,13 +92,13 @@ def test_the_statement_of_another_application_and_of_another_key_are_forbidden(
 
 
 def test_without_a_statement_only_the_transition_lets_it_through(key: KeyFile, trusted: TrustedKeys) -> None:
-    found = files(key)
-    del found[STATEMENT]
-    assert forbidden(trusted, found) == MISSING
-    found[RELEASE_POLICY] = "assurance: verified\n"
-    assert forbidden(trusted, found) == ""
-    found[RELEASE_POLICY] = "assurance: verified\napplications: transition\n"
-    assert forbidden(trusted, found) == ""
+    evidence = files(key)
+    del evidence[STATEMENT]
+    assert forbidden(trusted, evidence) == MISSING
+    evidence[RELEASE_POLICY] = "assurance: verified\n"
+    assert forbidden(trusted, evidence) == ""
+    evidence[RELEASE_POLICY] = "assurance: verified\napplications: transition\n"
+    assert forbidden(trusted, evidence) == ""
 
 
 def test_another_verification_policy_makes_it_doubtful(key: KeyFile, trusted: TrustedKeys) -> None:
@@ -111,19 +111,19 @@ def test_another_verification_policy_makes_it_doubtful(key: KeyFile, trusted: Tr
 
 
 def test_a_withdrawn_version_leaves_the_statement_as_it_is(key: KeyFile, trusted: TrustedKeys) -> None:
-    found = files(key)
+    evidence = files(key)
     entry = "charts/app/0.1.0.yaml"
-    found[entry] = found[entry].replace("state: verified", "state: withdrawn")
-    assert forbidden(trusted, found) == ""
-    read = EvidenceReader(trusted).read(found)
+    evidence[entry] = evidence[entry].replace("state: verified", "state: withdrawn")
+    assert forbidden(trusted, evidence) == ""
+    read = EvidenceReader(trusted).read(evidence)
     with pytest.raises(RefusalError, match="state withdrawn is not allowed"):
         read.select(read.applications["relaying"].services[0].chart)
 
 
 def test_a_bridge_that_is_forbidden_bridges_nothing(key: KeyFile, trusted: TrustedKeys) -> None:
-    found = files(key, application(chart_name="app", provides=["link/mqtt"]))
+    evidence = files(key, application(chart_name="app", provides=["link/mqtt"]))
     with pytest.raises(RefusalError) as caught:
-        EvidenceReader(trusted).read(found).bridge("mqtt")
+        EvidenceReader(trusted).read(evidence).bridge("mqtt")
     assert caught.value.reason == "ApplicationNotVerified"
 
 

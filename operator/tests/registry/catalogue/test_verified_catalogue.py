@@ -41,8 +41,8 @@ class Repository:
         return f"{len(self.commits):040x}" if self.commits else ""
 
     def files(self, commit: str, folders: Sequence[str]) -> Mapping[str, str]:
-        found = self.commits[int(commit, 16) - 1]
-        return {path: text for path, text in found.items() if path.split("/")[0] in folders}
+        tree = self.commits[int(commit, 16) - 1]
+        return {path: text for path, text in tree.items() if path.split("/")[0] in folders}
 
 
 class Counting:
@@ -71,16 +71,16 @@ def trusted(tmp_path: Path, key: KeyFile) -> TrustedKeys:
 
 def evidence_problem(trusted: TrustedKeys, files: Mapping[str, str]) -> str:
     """Why the evidence of `app` does not hold; empty when it is assured."""
-    found = EvidenceReader(trusted).read(files).version("app", "0.1.0")
-    assert found
-    assert found.assured is (found.evidence_problem == "")
-    return found.evidence_problem
+    version = EvidenceReader(trusted).read(files).version("app", "0.1.0")
+    assert version
+    assert version.assured is (version.evidence_problem == "")
+    return version.evidence_problem
 
 
 def test_a_published_version_is_assured_and_selected(key: KeyFile, trusted: TrustedKeys) -> None:
-    found = EvidenceReader(trusted).read(catalogue(published(key, APP)))
-    assert found.problems == ()
-    chosen, reasons = found.select(ANY)
+    read = EvidenceReader(trusted).read(catalogue(published(key, APP)))
+    assert read.problems == ()
+    chosen, reasons = read.select(ANY)
     assert (chosen.version, chosen.assured) == ("0.1.0", True)
     assert reasons == ("app 0.1.0 (verified): taken",)
 
@@ -138,10 +138,10 @@ def test_what_people_change_beside_the_evidence_is_in_doubt(
     reader.read(files)
     assert files[path].count(before) == 1
     edited = {**files, path: files[path].replace(before, after)}
-    found = reader.read(edited).version("app", "0.1.0")
-    assert found
-    assert f"{path} is not what was verified" in found.evidence_problem
-    assert evidence_problem(trusted, edited) == found.evidence_problem
+    version = reader.read(edited).version("app", "0.1.0")
+    assert version
+    assert f"{path} is not what was verified" in version.evidence_problem
+    assert evidence_problem(trusted, edited) == version.evidence_problem
 
 
 def test_without_its_values_schema_a_version_is_in_doubt(key: KeyFile, trusted: TrustedKeys) -> None:
@@ -173,9 +173,9 @@ def test_a_changed_policy_makes_evidence_doubtful(key: KeyFile, trusted: Trusted
 
 def test_evidence_is_needed_for_every_platform_of_the_fleet(key: KeyFile, trusted: TrustedKeys) -> None:
     reader = EvidenceReader(trusted, ("linux/amd64", "linux/arm64"))
-    found = reader.read(catalogue(published(key, APP))).version("app", "0.1.0")
-    assert found
-    assert "suite static: the evidence is for platform linux/amd64, not linux/arm64" in found.evidence_problem
+    version = reader.read(catalogue(published(key, APP))).version("app", "0.1.0")
+    assert version
+    assert "suite static: the evidence is for platform linux/amd64, not linux/arm64" in version.evidence_problem
 
 
 def test_without_a_policy_nothing_is_assured(key: KeyFile, trusted: TrustedKeys) -> None:
@@ -197,10 +197,10 @@ def test_a_second_key_keeps_old_evidence_and_removing_the_old_key_makes_it_doubt
     second, newer = signing_key(tmp_path / "second"), artefact("app", "0.2.0")
     repository = Repository()
     repository.commits.append(catalogue(published(key, APP), published(second, newer)))
-    found = AssuredCatalogue(repository, trusted)
+    reading = AssuredCatalogue(repository, trusted)
 
     def assured() -> list[bool]:
-        _, read = found.read()
+        _, read = reading.read()
         return [version.assured for version in read.charts["app"]]
 
     assert assured() == [True, False]
@@ -208,22 +208,22 @@ def test_a_second_key_keeps_old_evidence_and_removing_the_old_key_makes_it_doubt
     assert assured() == [True, True]
     trusting(tmp_path / "keys", second)
     assert assured() == [False, True]
-    assert f"key '{key.key_id}', which is not trusted here" in found.catalogue.charts["app"][0].evidence_problem
+    assert f"key '{key.key_id}', which is not trusted here" in reading.catalogue.charts["app"][0].evidence_problem
 
 
 def test_what_was_verified_is_not_verified_again(key: KeyFile, trusted: TrustedKeys) -> None:
     verifier, repository = Counting(trusted), Repository()
-    found = AssuredCatalogue(repository, verifier)
+    assured = AssuredCatalogue(repository, verifier)
     repository.commits.append(catalogue(published(key, APP)))
-    found.read()
+    assured.read()
     assert verifier.verified == len(POLICY.suites) + 1
-    found.read()
+    assured.read()
     repository.commits.append({**repository.commits[0], "applications/README.md": "words"})
-    tip, _ = found.read()
+    tip, _ = assured.read()
     assert tip == repository.fetch()
     assert verifier.verified == len(POLICY.suites) + 1
     repository.commits.append({**repository.commits[0], **published(key, artefact("other"))})
-    found.read()
+    assured.read()
     assert verifier.verified == 2 * (len(POLICY.suites) + 1)
 
 
@@ -231,20 +231,20 @@ def test_a_broken_file_leaves_the_last_good_catalogue_in_place(
     key: KeyFile, trusted: TrustedKeys, caplog: pytest.LogCaptureFixture
 ) -> None:
     repository = Repository()
-    found = AssuredCatalogue(repository, trusted)
+    assured = AssuredCatalogue(repository, trusted)
     with pytest.raises(InputError, match="the catalogue repository has no main branch yet"):
-        found.read()
+        assured.read()
     repository.commits.append(catalogue({"charts/app/0.1.0.yaml": "{"}))
     with pytest.raises(InputError, match=r"charts/app/0\.1\.0\.yaml: .*nothing is planned until it is repaired"):
-        found.read()
+        assured.read()
     repository.commits.append(catalogue(published(key, APP)))
-    good, _ = found.read()
+    good, _ = assured.read()
     repository.commits.append({**repository.commits[1], "policies/verification.yaml": "spec: {}\n"})
     with caplog.at_level(logging.ERROR):
-        tip, kept = found.read()
-    assert tip == good == found.tip
+        tip, kept = assured.read()
+    assert tip == good == assured.tip
     assert kept.select(ANY)[0].assured
-    assert found.files == repository.commits[1]
+    assert assured.files == repository.commits[1]
     assert "policies/verification.yaml: apiVersion: missing" in caplog.text
 
 
@@ -252,19 +252,19 @@ def test_the_same_problem_is_logged_once_while_main_moves(
     key: KeyFile, trusted: TrustedKeys, caplog: pytest.LogCaptureFixture
 ) -> None:
     repository = Repository()
-    found = AssuredCatalogue(repository, trusted)
+    assured = AssuredCatalogue(repository, trusted)
     good = catalogue(published(key, APP))
     broken = {**good, "applications/relaying.yaml": "{"}
     repository.commits.append(good)
-    found.read()
+    assured.read()
     for number in range(14):
         repository.commits.append({**broken, "applications/other.txt": str(number)})
-        found.read()
+        assured.read()
     assert len(caplog.records) == 1
     repository.commits.append(good)
-    found.read()
+    assured.read()
     repository.commits.append(broken)
-    found.read()
+    assured.read()
     assert len(caplog.records) == 2
 
 
@@ -272,24 +272,24 @@ def test_a_key_removed_while_the_newest_commit_is_broken_counts_at_once(
     tmp_path: Path, key: KeyFile, trusted: TrustedKeys
 ) -> None:
     repository = Repository()
-    found = AssuredCatalogue(repository, trusted)
+    assured = AssuredCatalogue(repository, trusted)
     repository.commits.append(catalogue(published(key, APP)))
-    found.read()
+    assured.read()
     repository.commits.append(catalogue({"charts/app/0.1.0.yaml": "{"}))
-    found.read()
+    assured.read()
     trusting(tmp_path / "keys", signing_key(tmp_path / "second"))
-    _, read = found.read()
+    _, read = assured.read()
     assert not read.charts["app"][0].assured
 
 
 def test_a_key_that_cannot_be_read_stops_everything(tmp_path: Path, key: KeyFile, trusted: TrustedKeys) -> None:
     repository = Repository()
     repository.commits.append(catalogue(published(key, APP)))
-    found = AssuredCatalogue(repository, trusted)
-    found.read()
+    assured = AssuredCatalogue(repository, trusted)
+    assured.read()
     (tmp_path / "keys" / "broken.pem").write_text("no key")
     with pytest.raises(InputError, match=r"broken\.pem: no PEM public key"):
-        found.read()
+        assured.read()
 
 
 def test_a_summary_signed_for_other_envelopes_does_not_count(key: KeyFile, trusted: TrustedKeys) -> None:

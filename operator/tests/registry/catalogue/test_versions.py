@@ -100,12 +100,12 @@ def test_schemas_take_the_same_versions(text: str) -> None:
     pattern = chart["$defs"]["version"]["pattern"]
     assert bool(re.search(pattern, text)) is bool(VERSION.fullmatch(text))
     [ranges] = set(_patterns(application, "(>=|<=|>|<|=)"))
-    for found in (f">={text}", f">0.0.0 <={text}"):
-        assert bool(re.search(ranges, found)) is is_range(found)
+    for wanted in (f">={text}", f">0.0.0 <={text}"):
+        assert bool(re.search(ranges, wanted)) is is_range(wanted)
 
 
 def _patterns(value: object, part: str) -> list[str]:
     if isinstance(value, dict):
         own = [value["pattern"]] if part in str(value.get("pattern", "")) else []
-        return own + [found for inner in value.values() for found in _patterns(inner, part)]
-    return [found for inner in value for found in _patterns(inner, part)] if isinstance(value, list) else []
+        return own + [pattern for inner in value.values() for pattern in _patterns(inner, part)]
+    return [pattern for inner in value for pattern in _patterns(inner, part)] if isinstance(value, list) else []

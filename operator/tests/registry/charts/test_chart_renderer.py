@@ -121,10 +121,10 @@ def test_a_chart_reads_nothing_of_the_machine(renderer: ChartRenderer) -> None:
 
 def test_definitions_hooks_and_every_document_of_a_file_are_objects(renderer: ChartRenderer) -> None:
     two = "kind: A\n---\n# nothing\n---\nkind: B\nmetadata: {annotations: {helm.sh/hook: pre-install}}\n"
-    found = renderer.render(chart(two, crds__c="kind: C", templates__NOTES="x"), {}, "one", "n")
-    assert [item["kind"] for item in found if "kind" in item] == ["A", "B"]
-    found = renderer.render({**chart(two), "crds/c.yaml": b"kind: C\n", "templates/NOTES.txt": b"x"}, {}, "one", "n")
-    assert sorted(item["kind"] for item in found) == ["A", "B", "C"]
+    objects = renderer.render(chart(two, crds__c="kind: C", templates__NOTES="x"), {}, "one", "n")
+    assert [item["kind"] for item in objects if "kind" in item] == ["A", "B"]
+    objects = renderer.render({**chart(two), "crds/c.yaml": b"kind: C\n", "templates/NOTES.txt": b"x"}, {}, "one", "n")
+    assert sorted(item["kind"] for item in objects) == ["A", "B", "C"]
 
 
 def test_no_name_of_a_file_hides_an_object_that_would_be_applied(renderer: ChartRenderer, tmp_path: Path) -> None:
@@ -136,9 +136,9 @@ def test_no_name_of_a_file_hides_an_object_that_would_be_applied(renderer: Chart
         "templates/_pod.yaml": pod,
         "templates/more-NOTES.txt": b"kind: Note",
     }
-    found = renderer.render(files, {}, "one", "n")
-    assert pod_images(found) == (FOREIGN,)
-    assert sorted(found, key=json.dumps) == sorted(
+    objects = renderer.render(files, {}, "one", "n")
+    assert pod_images(objects) == (FOREIGN,)
+    assert sorted(objects, key=json.dumps) == sorted(
         HelmProgram(program("helm"), tmp_path).render(files, {}, "one", "n"), key=json.dumps
     )
 
@@ -151,9 +151,9 @@ def status(renderer: ChartRenderer) -> dict[str, str]:
 
 def test_its_process_has_given_its_rights_up(renderer: ChartRenderer) -> None:
     renderer.render(chart("kind: A"), {}, "one", "n")
-    found = status(renderer)
-    assert (found["NoNewPrivs"], found["Seccomp"]) == ("1", "2")
-    assert int(found["Seccomp_filters"]) == 2  # no sockets, by the sandbox; nothing to open at all, by itself
+    rights = status(renderer)
+    assert (rights["NoNewPrivs"], rights["Seccomp"]) == ("1", "2")
+    assert int(rights["Seccomp_filters"]) == 2  # no sockets, by the sandbox; nothing to open at all, by itself
 
 
 def test_without_its_program_nothing_is_blamed_on_a_chart(tmp_path: Path) -> None:

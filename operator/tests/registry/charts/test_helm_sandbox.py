@@ -31,8 +31,8 @@ def helm(tmp_path: Path) -> HelmProgram:
 
 
 def chart(template: str, **files: str) -> dict[str, bytes]:
-    found = {"Chart.yaml": CHART, "templates/a.yaml": template.encode()}
-    return found | {name.replace("__", "."): text.encode() for name, text in files.items()}
+    content = {"Chart.yaml": CHART, "templates/a.yaml": template.encode()}
+    return content | {name.replace("__", "."): text.encode() for name, text in files.items()}
 
 
 def rendered(helm: HelmProgram, expression: str, values: Mapping[str, Any] | None = None) -> str:

@@ -42,8 +42,8 @@ def organisations(forge_process: ForgeProcess) -> tuple[str, str]:
 
 @pytest.fixture
 def registry(forge_process: ForgeProcess) -> Iterator[OciRegistry]:
-    with OciRegistry(forge_process.url, forge_process.administrator, forge_process.administrator_password) as found:
-        yield found
+    with OciRegistry(forge_process.url, forge_process.administrator, forge_process.administrator_password) as client:
+        yield client
 
 
 @pytest.fixture
@@ -60,14 +60,14 @@ def attach(registry: OciRegistry, repository: str, name: str, subject: str = "")
 
 
 def attached(registry: OciRegistry, repository: str) -> list[str]:
-    return [found.annotations[SUITE_ANNOTATION] for found in registry.attachments(repository, chart().digest)]
+    return [attachment.annotations[SUITE_ANNOTATION] for attachment in registry.attachments(repository, chart().digest)]
 
 
 def test_a_chart_comes_back_by_its_digest(registry: OciRegistry, staging: str) -> None:
     packed = chart()
-    found = registry.pull_chart(staging, packed.digest)
-    assert (found.digest, found.archive, found.metadata["name"]) == (packed.digest, packed.archive, "app")
-    assert found.files["templates/a.yaml"] == b"kind: ConfigMap\n"
+    pulled = registry.pull_chart(staging, packed.digest)
+    assert (pulled.digest, pulled.archive, pulled.metadata["name"]) == (packed.digest, packed.archive, "app")
+    assert pulled.files["templates/a.yaml"] == b"kind: ConfigMap\n"
     assert registry.list(staging) == (TAG,)
     assert registry.manifest(staging, packed.digest) == packed.manifest
     assert registry.blob(staging, sha256(packed.config), 1000) == packed.config
@@ -100,10 +100,13 @@ def test_what_is_attached_comes_back_in_order_and_once(registry: OciRegistry, st
     first = attach(registry, staging, "static")
     second = attach(registry, staging, "images")
     assert attach(registry, staging, "static") == first
-    found = registry.attachments(staging, chart().digest)
-    assert [one.digest for one in found] == [first, second]
-    assert found[0].data == canonical_json({"envelope": "static"})
-    assert (found[0].artifact_type, found[0].annotations) == (ENVELOPE_MEDIA_TYPE, {SUITE_ANNOTATION: "static"})
+    attachments = registry.attachments(staging, chart().digest)
+    assert [one.digest for one in attachments] == [first, second]
+    assert attachments[0].data == canonical_json({"envelope": "static"})
+    assert (attachments[0].artifact_type, attachments[0].annotations) == (
+        ENVELOPE_MEDIA_TYPE,
+        {SUITE_ANNOTATION: "static"},
+    )
     assert registry.manifest_digest(staging, chart().digest) == chart().digest
 
 

@@ -105,16 +105,16 @@ class FakeRegistry:
 
 @pytest.fixture
 def fake() -> Iterator[FakeRegistry]:
-    found = FakeRegistry()
-    found.hold(STAGING)
-    yield found
-    found.stop()
+    started = FakeRegistry()
+    started.hold(STAGING)
+    yield started
+    started.stop()
 
 
 @pytest.fixture
 def registry(fake: FakeRegistry) -> Iterator[OciRegistry]:
-    with OciRegistry(fake.url, "gate", "password") as found:
-        yield found
+    with OciRegistry(fake.url, "gate", "password") as client:
+        yield client
 
 
 INDEX = f"{STAGING}/manifests/{fallback_tag(CHART.digest)}"

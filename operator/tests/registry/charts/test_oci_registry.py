@@ -59,8 +59,8 @@ def organisation(forge_process: ForgeProcess) -> str:
 
 @pytest.fixture
 def registry(forge_process: ForgeProcess) -> Iterator[OciRegistry]:
-    with OciRegistry(forge_process.url, forge_process.administrator, forge_process.administrator_password) as found:
-        yield found
+    with OciRegistry(forge_process.url, forge_process.administrator, forge_process.administrator_password) as client:
+        yield client
 
 
 def test_a_chart_is_found_by_tag_and_digest_and_pushed_twice_is_once(registry: OciRegistry, organisation: str) -> None:

@@ -61,15 +61,15 @@ def test_a_copy_touched_later_has_the_same_digest(chart: Path, tmp_path: Path) -
 
 def test_chart_file_first_then_by_name_with_libraries_and_images(chart: Path) -> None:
     packed = pack(chart, IMAGES)
-    found = members(packed.archive)
-    assert [member.name for member in found] == [
+    files = members(packed.archive)
+    assert [member.name for member in files] == [
         "app/Chart.yaml",
         "app/charts/shared/Chart.yaml",
         "app/charts/shared/templates/_app.tpl",
         "app/images.yaml",
         "app/templates/object.yaml",
     ]
-    assert {(m.mtime, m.uid, m.gid, m.mode, m.uname) for m in found} == {(0, 0, 0, 0o644, "")}
+    assert {(m.mtime, m.uid, m.gid, m.mode, m.uname) for m in files} == {(0, 0, 0, 0o644, "")}
     assert content(packed.archive, "app/images.yaml") == "platform: host/platform@sha256:2\nros: host/ros@sha256:1\n"
 
 

@@ -62,8 +62,8 @@ def client(asking: AskingRegistry, user: str = USER, password: str = PASSWORD) -
     ],
 )
 def test_challenges_are_read(header: str, expected: list[tuple[str, dict[str, str]]]) -> None:
-    found = [(one.scheme, dict(one.parameters)) for one in read_challenges([header])]
-    assert [(scheme, parameters) for scheme, parameters in found][: len(expected)] == expected
+    challenges = [(one.scheme, dict(one.parameters)) for one in read_challenges([header])]
+    assert [(scheme, parameters) for scheme, parameters in challenges][: len(expected)] == expected
 
 
 def test_the_account_itself_is_shown_where_that_is_offered() -> None:

@@ -49,8 +49,8 @@ def digests(folders: list[Path], environment: Mapping[str, str], cwd: Path, umas
         env={**os.environ, **environment},
         umask=umask,
     )
-    found: dict[str, str] = json.loads(done.stdout)
-    return found
+    by_chart: dict[str, str] = json.loads(done.stdout)
+    return by_chart
 
 
 def copied(source: Path, target: Path) -> Path:

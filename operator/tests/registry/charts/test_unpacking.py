@@ -60,9 +60,9 @@ def archive(*members: tuple[tarfile.TarInfo, bytes], form: int = tarfile.USTAR_F
 
 def test_what_was_packed_comes_back() -> None:
     packed = chart()
-    found = unpack_chart("verified/app", packed.manifest, packed.config, packed.archive)
-    assert (found.files, found.metadata, found.digest) == (FILES, METADATA, packed.digest)
-    assert chart(found.files, found.metadata).digest == packed.digest
+    unpacked = unpack_chart("verified/app", packed.manifest, packed.config, packed.archive)
+    assert (unpacked.files, unpacked.metadata, unpacked.digest) == (FILES, METADATA, packed.digest)
+    assert chart(unpacked.files, unpacked.metadata).digest == packed.digest
 
 
 def test_the_manifest_names_configuration_and_archive() -> None:
@@ -220,9 +220,9 @@ def test_archives_changed_by_chance_are_refused_or_hold_plain_files(count: int) 
             data[chance.randrange(len(data))] = chance.randrange(256)
         cut = gzip.compress(bytes(data[: chance.choice([len(data), chance.randrange(len(data))])]), 1)
         try:
-            found = unpack_chart("verified/app", packed.manifest, packed.config, cut)
+            unpacked = unpack_chart("verified/app", packed.manifest, packed.config, cut)
         except DocumentError:
             refused += 1
         else:
-            assert set(found.files) == set(FILES)
+            assert set(unpacked.files) == set(FILES)
     assert refused > count // 2

@@ -98,9 +98,9 @@ def _no_predicate(found: dict[str, Any]) -> None:
     ],
 )
 def test_what_a_statement_does_not_say_is_not_believed(change: Callable[[dict[str, Any]], None], words: str) -> None:
-    found = copy.deepcopy(statement())
-    change(found)
-    assert judged(found).problems == (words,)
+    changed = copy.deepcopy(statement())
+    change(changed)
+    assert judged(changed).problems == (words,)
 
 
 def test_evidence_of_a_chart_is_none_of_an_application_and_the_reverse() -> None:

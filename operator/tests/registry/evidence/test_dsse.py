@@ -65,8 +65,8 @@ def signed_anyway(key: KeyFile, payload: bytes, payload_type: str = ENVELOPE_MED
 
 def test_what_was_signed_is_read_back_with_digest_and_key(key: KeyFile, trusted: TrustedKeys) -> None:
     data = key.sign(STATEMENT)
-    found = trusted.verify(data)
-    assert (found.statement, found.envelope_digest, found.key_id) == (STATEMENT, sha256(data), key.key_id)
+    verified = trusted.verify(data)
+    assert (verified.statement, verified.envelope_digest, verified.key_id) == (STATEMENT, sha256(data), key.key_id)
     assert key.sign(STATEMENT) == data
 
 

@@ -137,10 +137,10 @@ def test_random_envelopes_are_refused_in_words_and_make_only_their_own_version_d
         suite = chance.random.choice([*(rule.name for rule in POLICY.suites), "summary"])
         files = {f"{APP.folder}/{name}.json": text.decode() for name, text in good.items()}
         files[f"{APP.folder}/{suite}.json"] = data.decode("utf-8", "replace")
-        found = reader.read(catalogue(own, neighbour, files))
-        app, beside = found.version("app", "0.1.0"), found.version("neighbour", "0.1.0")
+        evidence = reader.read(catalogue(own, neighbour, files))
+        app, beside = evidence.version("app", "0.1.0"), evidence.version("neighbour", "0.1.0")
         assert app
         assert beside
-        assert (app.assured, beside.assured, found.problems) == (False, True, ()), number
+        assert (app.assured, beside.assured, evidence.problems) == (False, True, ()), number
         assert suite in app.evidence_problem
         assert time.thread_time() - began < SECONDS_MAX, f"case {number}: {data[:100]!r}"

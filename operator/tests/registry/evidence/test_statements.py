@@ -37,11 +37,13 @@ def verified(statement: dict[str, Any], name: str) -> VerifiedStatement:
 
 def evidence(about: Artefact = APP) -> Found:
     """Complete: every suite and their summary."""
-    found: Found = {r.name: verified(suite_statement(about, POLICY.digest, result(r)), r.name) for r in POLICY.suites}
+    statements: Found = {
+        r.name: verified(suite_statement(about, POLICY.digest, result(r)), r.name) for r in POLICY.suites
+    }
     digests = {rule.name: sha256(rule.name.encode()) for rule in POLICY.suites}
     uri = f"{CHARTS_URL}/app"
     statement = summary_statement(about, POLICY, PATH, uri, "robotkube-gate", VERIFIED_AT, digests, LISTING)
-    return found | {"summary": verified(statement, "summary")}
+    return statements | {"summary": verified(statement, "summary")}
 
 
 SUMMARY = sha256(b"summary")
@@ -90,9 +92,9 @@ def test_a_summary_that_says_nothing_of_the_entry_proves_nothing_of_it() -> None
 
 @pytest.mark.parametrize("suite", [rule.name for rule in POLICY.suites])
 def test_a_missing_suite_is_not_a_passed_one(suite: str) -> None:
-    found = evidence()
-    del found[suite]
-    assert problems(found) == (f"suite {suite}: there is no evidence; a missing suite is not a passed one",)
+    statements = evidence()
+    del statements[suite]
+    assert problems(statements) == (f"suite {suite}: there is no evidence; a missing suite is not a passed one",)
 
 
 def test_a_failed_suite_is_named_with_what_failed() -> None:
@@ -120,15 +122,15 @@ def test_a_result_that_calls_itself_passed_with_a_failed_check_is_signed_as_fail
 
 
 def test_a_result_other_than_passed_does_not_count() -> None:
-    found = changed(evidence(), "static", lambda s: s["predicate"].update(result="WARNED"))
-    assert problems(found) == ("suite static: its result is 'WARNED', not PASSED",)
+    statements = changed(evidence(), "static", lambda s: s["predicate"].update(result="WARNED"))
+    assert problems(statements) == ("suite static: its result is 'WARNED', not PASSED",)
 
 
 def test_evidence_of_another_digest_is_refused_in_all_its_pieces() -> None:
     other = artefact(content="one byte more")
-    found = problems(evidence(), other)
-    assert len([p for p in found if "is about another digest" in p]) == len(POLICY.suites) + 1
-    assert f"suite static: the evidence is about another digest ({APP.digest}, not {other.digest})" in found
+    refused = problems(evidence(), other)
+    assert len([p for p in refused if "is about another digest" in p]) == len(POLICY.suites) + 1
+    assert f"suite static: the evidence is about another digest ({APP.digest}, not {other.digest})" in refused
 
 
 def test_evidence_of_another_chart_or_version_is_refused() -> None:
@@ -166,17 +168,17 @@ def test_a_refused_envelope_is_doubt_with_its_reason() -> None:
 
 
 def test_a_summary_in_place_of_a_suite_and_the_reverse_are_refused() -> None:
-    found = evidence()
-    swapped = found | {"static": found["summary"], "summary": found["static"]}
+    statements = evidence()
+    swapped = statements | {"static": statements["summary"], "summary": statements["static"]}
     texts = problems(swapped)
     assert any(text.startswith("suite static: the evidence is no test result but") for text in texts)
     assert any(text.startswith("summary: it is no verification summary but") for text in texts)
 
 
 def test_without_a_summary_nothing_is_assured() -> None:
-    found = evidence()
-    del found["summary"]
-    assert problems(found) == ("summary: there is none; submit the chart again",)
+    statements = evidence()
+    del statements["summary"]
+    assert problems(statements) == ("summary: there is none; submit the chart again",)
     assert assess(APP, POLICY, "", {}, LISTING).evidence == ""
 
 
@@ -188,10 +190,10 @@ def test_the_catalogue_must_name_this_summary(stated: str) -> None:
 
 def test_a_summary_that_lists_another_envelope_is_refused() -> None:
     other = hexadecimal(sha256(b"an envelope from elsewhere"))
-    found = changed(
+    statements = changed(
         evidence(), "summary", lambda s: s["predicate"]["inputAttestations"][0]["digest"].update(sha256=other)
     )
-    assert problems(found) == (f"summary: it lists another envelope of suite static (sha256:{other})",)
+    assert problems(statements) == (f"summary: it lists another envelope of suite static (sha256:{other})",)
 
 
 def test_a_summary_that_leaves_a_suite_out_or_adds_one_is_refused() -> None:
@@ -226,8 +228,8 @@ def test_statements_of_another_form_are_doubt_and_never_a_crash(value: Any) -> N
             assert problems(changed(evidence(), name, lambda s, key=key: s.update({key: value})))  # type: ignore[misc]
         for key in before.statement["predicate"]:
             if key not in ("verifier", "timeVerified", "verifiedLevels", "passedTests"):
-                found = changed(evidence(), name, lambda s, key=key: s["predicate"].update({key: value}))  # type: ignore[misc]
-                assert problems(found) or (key == "failedTests" and not value)
+                statements = changed(evidence(), name, lambda s, key=key: s["predicate"].update({key: value}))  # type: ignore[misc]
+                assert problems(statements) or (key == "failedTests" and not value)
 
 
 def test_a_kept_result_counts_by_digest_policy_and_suite_version_only() -> None:

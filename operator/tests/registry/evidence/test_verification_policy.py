@@ -30,26 +30,26 @@ def test_suites_stay_in_their_order_with_their_limits() -> None:
 
 def test_a_suite_of_a_user_names_its_image() -> None:
     own = f"{{name: own, version: '3', seconds: 9, image: '{IMAGE}', command: [run, --all], installs: true}}"
-    found = read_verification_policy(policy(own), PATH)
-    assert found.suites == (SuiteRule("own", "3", 9, IMAGE, ("run", "--all"), True),)
+    read = read_verification_policy(policy(own), PATH)
+    assert read.suites == (SuiteRule("own", "3", 9, IMAGE, ("run", "--all"), True),)
 
 
 @pytest.mark.parametrize(
     ("keys", "seconds"), [("", 60), (", soakSeconds: 10", 10), (", soakSeconds: 0", 0), (", soakSeconds: 120", 120)]
 )
 def test_how_long_a_chart_soaks(keys: str, seconds: int) -> None:
-    found = read_verification_policy(policy(f"{{name: install, version: '2', seconds: 240{keys}}}"), PATH)
-    assert found.suites == (SuiteRule("install", "2", 240, soak_seconds=seconds, memory_growth_percent=10),)
+    read = read_verification_policy(policy(f"{{name: install, version: '2', seconds: 240{keys}}}"), PATH)
+    assert read.suites == (SuiteRule("install", "2", 240, soak_seconds=seconds, memory_growth_percent=10),)
 
 
 def test_how_much_a_container_may_grow_meanwhile() -> None:
-    found = read_verification_policy(policy("{name: install, version: '2', seconds: 9, memoryGrowthPercent: 25}"), PATH)
-    assert found.suites[0].memory_growth_percent == 25
+    read = read_verification_policy(policy("{name: install, version: '2', seconds: 9, memoryGrowthPercent: 25}"), PATH)
+    assert read.suites[0].memory_growth_percent == 25
 
 
 def test_a_run_that_is_short_soaks_for_half_of_it() -> None:
-    found = read_verification_policy(policy("{name: install, version: '2', seconds: 75}"), PATH)
-    assert found.suites[0].soak_seconds == 37
+    read = read_verification_policy(policy("{name: install, version: '2', seconds: 75}"), PATH)
+    assert read.suites[0].soak_seconds == 37
 
 
 def test_the_digest_is_that_of_the_meaning() -> None:
@@ -91,6 +91,6 @@ def test_a_mistake_is_named_with_its_key(suites: str, expected: str) -> None:
 
 
 def test_all_mistakes_are_named_at_once() -> None:
-    found = problems("apiVersion: v1\nkind: Policy\nmetadata: {name: UPPER}\nspec: {suites: [{name: own}]}\n")
+    mistakes = problems("apiVersion: v1\nkind: Policy\nmetadata: {name: UPPER}\nspec: {suites: [{name: own}]}\n")
     keys = ("apiVersion:", "kind:", "metadata.name:", "[0].version: missing", "[0].seconds:", "[0].image: missing")
-    assert all(any(key in problem for problem in found) for key in keys)
+    assert all(any(key in problem for problem in mistakes) for key in keys)

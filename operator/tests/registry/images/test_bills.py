@@ -90,8 +90,8 @@ def components(data: bytes) -> dict[str, dict[str, Any]]:
 
 
 def test_packages_of_debian_and_python_and_programs_are_named(image: tuple[Path, str]) -> None:
-    found = components(bills.make_bill(image[0], "name", image[1]))
-    names = {purl.partition("?")[0] for purl in found}
+    named = components(bills.make_bill(image[0], "name", image[1]))
+    names = {purl.partition("?")[0] for purl in named}
     assert names == {
         "CDXRef-Debian",
         "pkg:deb/debian/base-files@12.4",
@@ -102,7 +102,7 @@ def test_packages_of_debian_and_python_and_programs_are_named(image: tuple[Path,
         "/usr/local/bin/tool",
         "/usr/bin/of-a-package",
     }
-    tool = found["program:/usr/local/bin/tool"]
+    tool = named["program:/usr/local/bin/tool"]
     assert (tool["name"], tool["version"]) == ("tool", "0.1.0")
     assert tool["hashes"][0]["content"] == hashlib.sha256(UPPER["usr/local/bin/tool"]).hexdigest()
 

@@ -74,22 +74,22 @@ def test_order_times_and_names_of_owners_do_not_count(tmp_path: Path) -> None:
 
 
 def test_modes_owners_links_and_whiteouts_are_kept(tmp_path: Path) -> None:
-    found = {entry.name: entry for entry in normal_entries(tmp_path, tar_of(ENTRIES, 7))}
-    assert list(found) == sorted(found)
-    assert {entry.mtime for entry in found.values()} == {normalising.EPOCH_SECONDS}
-    assert found["etc/a"].mode == 0o4755
-    assert (found["etc/b"].uid, found["etc/b"].gid, found["etc/b"].mode) == (3, 4, 0o640)
-    assert (found["etc/z"].islnk(), found["etc/z"].linkname, found["etc/z"].mode) == (True, "etc/b", 0o640)
-    assert found["etc/link"].linkname == "a"
-    assert "etc/.wh.gone" in found
+    entries = {entry.name: entry for entry in normal_entries(tmp_path, tar_of(ENTRIES, 7))}
+    assert list(entries) == sorted(entries)
+    assert {entry.mtime for entry in entries.values()} == {normalising.EPOCH_SECONDS}
+    assert entries["etc/a"].mode == 0o4755
+    assert (entries["etc/b"].uid, entries["etc/b"].gid, entries["etc/b"].mode) == (3, 4, 0o640)
+    assert (entries["etc/z"].islnk(), entries["etc/z"].linkname, entries["etc/z"].mode) == (True, "etc/b", 0o640)
+    assert entries["etc/link"].linkname == "a"
+    assert "etc/.wh.gone" in entries
 
 
 def test_the_first_name_of_a_file_carries_its_content(tmp_path: Path) -> None:
     entries: list[Entry] = [("z", b"text", {}), ("a", "z", {"hard": True})]
-    found = {entry.name: entry for entry in normal_entries(tmp_path, tar_of(entries))}
-    assert found["a"].isreg()
-    assert found["a"].size == 4
-    assert found["z"].linkname == "a"
+    by_name = {entry.name: entry for entry in normal_entries(tmp_path, tar_of(entries))}
+    assert by_name["a"].isreg()
+    assert by_name["a"].size == 4
+    assert by_name["z"].linkname == "a"
 
 
 def test_normal_form_is_a_fixed_point(tmp_path: Path) -> None:

@@ -44,9 +44,9 @@ def test_what_a_submission_brings_is_signed_in_the_same_commit(world: Publicatio
     text = world.settle(number)
     newest = world.catalogue.commits[world.catalogue.tip]
     assert {PATH, STATEMENT} <= set(newest.changes)
-    found = on_main(world)
-    assert found.assured
-    assert found.digest == document_digest(application())
+    main = on_main(world)
+    assert main.assured
+    assert main.digest == document_digest(application())
     assert "- application relaying: composed for 1 samples of its parameters, 1 releases" in text
     packed = chart()[0]
     assert (frozenset({"relaying"}), frozenset({ChartReference("relay", "0.1.0", packed.digest)})) in world.trials.asked

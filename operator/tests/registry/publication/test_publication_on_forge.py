@@ -48,10 +48,10 @@ def _prompt(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def publishing(installation: Installation, tmp_path: Path) -> Iterator[Publishing]:
-    found = Publishing(installation, tmp_path)
-    found.start()
-    yield found
-    found.stop()
+    stage = Publishing(installation, tmp_path)
+    stage.start()
+    yield stage
+    stage.stop()
 
 
 @pytest.fixture
@@ -77,8 +77,8 @@ def test_a_persons_change_is_merged_by_the_gate_when_another_person_approved_it(
     assert person.push(commit, "refs/for/main", [f"topic=words-{text.strip()}", "title=words"]) == ""
     pulls = f"{installation.url}/api/v1/repos/{CATALOGUE}/pulls"
     own, other = ((name, installation.passwords[name]) for name in ("operator-team", "reviewer"))
-    found = http_calls.get(pulls, auth=own, timeout=30).json()
-    number = next(pull["number"] for pull in found if pull["head"]["sha"] == commit)
+    pull_requests = http_calls.get(pulls, auth=own, timeout=30).json()
+    number = next(pull["number"] for pull in pull_requests if pull["head"]["sha"] == commit)
     review = {"event": "APPROVED", "commit_id": commit, "body": "seen"}
     assert http_calls.post(f"{pulls}/{number}/reviews", auth=own, json=review, timeout=30).status_code in (403, 422)
     http_calls.post(f"{pulls}/{number}/reviews", auth=other, json=review, timeout=30).raise_for_status()
@@ -325,8 +325,8 @@ def closing_comment(installation: Installation, head: str) -> str:
     """The gate's comment once it has closed the pull request."""
     base = f"{installation.url}/api/v1/repos/{CATALOGUE}"
     with http_calls.client(base_url=base, auth=("gate", installation.passwords["gate"]), timeout=30) as client:
-        found = client.get("/pulls", params={"state": "all", "sort": "recentupdate", "limit": 20}).json()
-        number = next(item["number"] for item in found if item["head"]["sha"] == head)
+        closed = client.get("/pulls", params={"state": "all", "sort": "recentupdate", "limit": 20}).json()
+        number = next(item["number"] for item in closed if item["head"]["sha"] == head)
         until(lambda: client.get(f"/pulls/{number}").json()["state"] == "closed", "closed by the gate")
         assert client.get(f"/pulls/{number}").json()["merged"] is False
         return "\n".join(item["body"] for item in client.get(f"/issues/{number}/comments").json())

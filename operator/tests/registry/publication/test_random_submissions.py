@@ -71,9 +71,9 @@ def refused_in_words(seed: int) -> None:
     }
     changes: dict[str, str | None] = {path: damaged(text, chance) for path, text in sources.items()}
     proposed = Proposed(("a" * 40,), changes, (), True, CATALOGUE, CATALOGUE)
-    found = read_submission(proposed, chance.random() < 0.5, TOOLS)
-    assert all(isinstance(problem, str) and problem for problem in found.problems)
-    assert found.problems or found.charts
+    answer = read_submission(proposed, chance.random() < 0.5, TOOLS)
+    assert all(isinstance(problem, str) and problem for problem in answer.problems)
+    assert answer.problems or answer.charts
 
 
 def test_200_random_submissions() -> None:

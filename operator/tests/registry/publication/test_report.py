@@ -105,8 +105,8 @@ def test_the_last_line_of_a_log_survives_the_cut() -> None:
     status["lastState"] = {"terminated": {"exitCode": 1, "reason": "Error"}}
     pod = {"metadata": {"name": "relay-1"}, "status": {"containerStatuses": [status]}}
     events = [{"type": "Warning", "reason": "Unhealthy", "message": f"{probe} {n}"} for n in range(5)]
-    found = "\n".join(["Deployment relay cannot get ready", *describe_pod(pod, events), *last_lines("\n".join(log))])
-    text = report(REFUSED, SuiteReport("install", "3", "failed", failed=(Check("becomes-ready", False, found, "do"),)))
+    words = "\n".join(["Deployment relay cannot get ready", *describe_pod(pod, events), *last_lines("\n".join(log))])
+    text = report(REFUSED, SuiteReport("install", "3", "failed", failed=(Check("becomes-ready", False, words, "do"),)))
     [shown] = [one for one in text.splitlines() if one.startswith("  - found: ")]
     assert shown.endswith(f"{line}`")
     assert "container main was restarted 2 times; it ended with 1 (Error)" in shown

@@ -45,10 +45,10 @@ def published(packed: PackedChart, spec: Mapping[str, Any], state: str = "verifi
 
 
 def test_an_entry_and_an_application_are_taken() -> None:
-    found = submitted({PATH: entry(PACKED, SPEC), "applications/relaying.yaml": application()})
-    assert found.problems == ()
-    assert [one.name for one in found.charts] == ["relay 0.1.0"]
-    assert found.names == "relay 0.1.0, application relaying"
+    submission = submitted({PATH: entry(PACKED, SPEC), "applications/relaying.yaml": application()})
+    assert submission.problems == ()
+    assert [one.name for one in submission.charts] == ["relay 0.1.0"]
+    assert submission.names == "relay 0.1.0, application relaying"
 
 
 @pytest.mark.parametrize(
@@ -65,13 +65,13 @@ def test_an_entry_and_an_application_are_taken() -> None:
     ],
 )
 def test_other_files_may_not_be_touched(path: str, text: str) -> None:
-    found = submitted({PATH: entry(PACKED, SPEC), path: text})
-    assert any(problem.startswith(f"{path}: a publisher may only touch charts/") for problem in found.problems)
+    submission = submitted({PATH: entry(PACKED, SPEC), path: text})
+    assert any(problem.startswith(f"{path}: a publisher may only touch charts/") for problem in submission.problems)
 
 
 def test_nothing_is_removed() -> None:
-    found = submitted({PATH: None}, published(PACKED, SPEC))
-    assert f"{PATH}: a publisher removes nothing; ask a person who may write the catalogue" in found.problems
+    submission = submitted({PATH: None}, published(PACKED, SPEC))
+    assert f"{PATH}: a publisher removes nothing; ask a person who may write the catalogue" in submission.problems
 
 
 @pytest.mark.parametrize(
@@ -84,9 +84,9 @@ def test_nothing_is_removed() -> None:
     ],
 )
 def test_a_status_says_staged_and_no_more(status: dict[str, Any], words: str) -> None:
-    found = submitted({PATH: entry(PACKED, SPEC, **status)})
-    assert any(words in problem for problem in found.problems)
-    assert found.charts == ()
+    submission = submitted({PATH: entry(PACKED, SPEC, **status)})
+    assert any(words in problem for problem in submission.problems)
+    assert submission.charts == ()
 
 
 def test_the_commit_must_stand_on_main() -> None:
@@ -126,8 +126,8 @@ def test_an_entry_that_somebody_changed_on_main_can_be_restored() -> None:
 
 
 def test_what_was_withdrawn_stays_so() -> None:
-    found = submitted({PATH: entry(PACKED, SPEC)}, published(PACKED, SPEC, "withdrawn"))
-    assert "relay 0.1.0 was withdrawn; a person has to revert the withdrawal first" in found.problems[0]
+    submission = submitted({PATH: entry(PACKED, SPEC)}, published(PACKED, SPEC, "withdrawn"))
+    assert "relay 0.1.0 was withdrawn; a person has to revert the withdrawal first" in submission.problems[0]
 
 
 def test_evidence_must_belong_to_the_submission() -> None:
@@ -142,8 +142,8 @@ def test_the_catalogue_must_hold_together_afterwards() -> None:
     dangling = submitted({"applications/relaying.yaml": application(chart_name="nothing")})
     assert "there is no chart 'nothing'" in dangling.problems[0]
     second = chart(version="0.3.0", replaces="0.2.0")
-    found = submitted({entry_path(second[0]): entry(*second)}, published(PACKED, SPEC))
-    assert any("spec.replaces" in problem for problem in found.problems)
+    submission = submitted({entry_path(second[0]): entry(*second)}, published(PACKED, SPEC))
+    assert any("spec.replaces" in problem for problem in submission.problems)
 
 
 def test_what_main_had_wrong_before_does_not_count() -> None:
@@ -155,13 +155,13 @@ def test_an_application_that_moved_meanwhile_is_not_overwritten() -> None:
     path = "applications/relaying.yaml"
     base = {**published(PACKED, SPEC), path: application()}
     main = {**base, path: application() + "# a person was here\n"}
-    found = submitted({path: application() + "# mine\n"}, base=base, main=main)
-    assert f"{path}: changed on main since the commit's parent; submit again on main's tip" in found.problems
+    submission = submitted({path: application() + "# mine\n"}, base=base, main=main)
+    assert f"{path}: changed on main since the commit's parent; submit again on main's tip" in submission.problems
 
 
 def test_all_problems_are_told_at_once() -> None:
-    found = submitted({PATH: entry(PACKED, SPEC, state="verified"), "README.md": "x", "keys/a.pem": None})
-    assert len(found.problems) == 3
+    submission = submitted({PATH: entry(PACKED, SPEC, state="verified"), "README.md": "x", "keys/a.pem": None})
+    assert len(submission.problems) == 3
 
 
 def test_several_platforms_are_refused() -> None:
@@ -184,10 +184,10 @@ def test_the_chart_says_what_the_entry_says() -> None:
 def test_another_name_version_image_or_entry_is_refused() -> None:
     other, spec = chart("other", "0.2.0")
     mine = read_entry(entry(PACKED, SPEC), PATH)
-    found = artefact_problems(mine, unpack_chart("here", other.manifest, other.config, other.archive))
-    assert "has name 'other', not 'relay'" in found[0]
-    assert "has version '0.2.0', not '0.1.0'" in found[1]
-    assert "was packed with another entry" in found[2]
+    differences = artefact_problems(mine, unpack_chart("here", other.manifest, other.config, other.archive))
+    assert "has name 'other', not 'relay'" in differences[0]
+    assert "has version '0.2.0', not '0.1.0'" in differences[1]
+    assert "was packed with another entry" in differences[2]
     images = ["forge.invalid/robotkube/ros@sha256:" + "2" * 64]
     assert "status.images differ from the chart's images.yaml" in problems_of(PACKED, SPEC, images=images)[0]
     packed, spec = chart(images=["ros", "platform"])
@@ -227,6 +227,6 @@ def test_the_publication_says_verified_and_nothing_else_changes() -> None:
 
 @pytest.mark.parametrize("text", ["", "[]", "a: [", "status: x\n", write_mapping({"kind": "ChartVersion"}), "\0"])
 def test_a_text_that_is_no_entry_is_refused(text: str) -> None:
-    found = submitted({PATH: text})
-    assert found.problems
-    assert all(problem.startswith(PATH) for problem in found.problems)
+    submission = submitted({PATH: text})
+    assert submission.problems
+    assert all(problem.startswith(PATH) for problem in submission.problems)

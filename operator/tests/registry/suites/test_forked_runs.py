@@ -18,9 +18,9 @@ pytestmark = pytest.mark.processes
 
 @pytest.fixture(scope="module")
 def suites() -> Iterator[ForkedSuites]:
-    found = ForkedSuites(forked_targets.run, ["tests.stages.registry.forked_targets"], late_seconds=1)
-    yield found
-    found.stop()
+    forked = ForkedSuites(forked_targets.run, ["tests.stages.registry.forked_targets"], late_seconds=1)
+    yield forked
+    forked.stop()
 
 
 def alive(process: int) -> bool:

@@ -205,9 +205,9 @@ ROOT, A_NAME = "it runs as root", "a name proves nothing: its number may be 0"
     [("", ROOT), ("0", ROOT), ("0:0", ROOT), ("root", ROOT), ("robot", A_NAME), ("10001:users", A_NAME)],
 )
 def test_a_user_that_may_be_root(registry: MemoryRegistry, user: str, why: str) -> None:
-    found = problems(registry, subject_of(reference(registry.image(User=user))))
-    assert list(found) == ["user"]
-    assert f"user is {user or 'not set'}: {why}" in found["user"]
+    named = problems(registry, subject_of(reference(registry.image(User=user))))
+    assert list(named) == ["user"]
+    assert f"user is {user or 'not set'}: {why}" in named["user"]
 
 
 def test_who_was_root_for_run_is_told_what_stands_at_the_end(registry: MemoryRegistry) -> None:
@@ -218,8 +218,8 @@ def test_who_was_root_for_run_is_told_what_stands_at_the_end(registry: MemoryReg
 
 
 def test_labels_that_are_missing(registry: MemoryRegistry) -> None:
-    found = problems(registry, subject_of(reference(registry.image(Labels=None))))
-    assert found["labels"].count("is missing") == 2
+    named = problems(registry, subject_of(reference(registry.image(Labels=None))))
+    assert named["labels"].count("is missing") == 2
 
 
 @pytest.mark.parametrize(
@@ -245,8 +245,8 @@ def test_a_shell_as_the_first_process(registry: MemoryRegistry, words: list[str]
         ({"command": None}, registry.image(Entrypoint=words)),
         ({"command": None, "args": words[1:]}, registry.image(Entrypoint=words[:1], Cmd=["other"])),
     ):
-        found = problems(registry, subject_of(reference(image), container))
-        assert "a shell is PID 1 and passes no SIGTERM on" in found["entry-point"]
+        named = problems(registry, subject_of(reference(image), container))
+        assert "a shell is PID 1 and passes no SIGTERM on" in named["entry-point"]
 
 
 @pytest.mark.parametrize(
@@ -277,8 +277,8 @@ def test_nothing_to_run(registry: MemoryRegistry) -> None:
 def test_an_image_without_a_bill(registry: MemoryRegistry) -> None:
     digest = registry.image(bill=False)
     registry.attach(digest, b"{}", artifact_type="application/vnd.in-toto+json")
-    found = problems(registry, subject_of(reference(digest)))
-    assert found == {
+    named = problems(registry, subject_of(reference(digest)))
+    assert named == {
         "bill-of-materials": f"{reference(digest)}: no software bill of materials is attached to this digest"
     }
 
@@ -321,10 +321,10 @@ def test_the_bill_of_another_image_with_this_digest_written_into_it(registry: Me
     digest = registry.image(bill=False)
     foreign = bill_of(digest) | {"components": [{"name": "libc6", "purl": "pkg:deb/debian/libc6@2.36"}]}
     registry.attach(digest, foreign)
-    found = bill_found(registry, digest)
-    assert "lacks 1 Python package of the image: six 1.16" in found
-    assert "lacks 1 ELF file of the image: /usr/bin/tool" in found
-    assert "names 1 Debian package that the image does not have: libc6 2.36" in found
+    bill = bill_found(registry, digest)
+    assert "lacks 1 Python package of the image: six 1.16" in bill
+    assert "lacks 1 ELF file of the image: /usr/bin/tool" in bill
+    assert "names 1 Debian package that the image does not have: libc6 2.36" in bill
     registry.attach(digest, bill_of(digest))
     assert bill_found(registry, digest) == ""
 
@@ -384,8 +384,8 @@ def test_each_platform_of_an_index_needs_a_bill_that_lists_it(registry: MemoryRe
 
 @pytest.mark.parametrize("document", [[], "text", {"config": 1}, {"manifests": 3}, {"manifests": [{"platform": 1}]}])
 def test_manifests_of_the_wrong_form_are_findings(registry: MemoryRegistry, document: Any) -> None:
-    found = problems(registry, subject_of(reference(registry.put(document))))
-    assert found.keys() & {"exist", "platform"}
+    named = problems(registry, subject_of(reference(registry.put(document))))
+    assert named.keys() & {"exist", "platform"}
 
 
 def test_a_chart_that_cannot_be_rendered_is_a_finding(registry: MemoryRegistry) -> None:
@@ -397,14 +397,14 @@ def test_a_chart_that_cannot_be_rendered_is_a_finding(registry: MemoryRegistry) 
         raise InputError("Error: values don't meet the specifications")
 
     broken = Subject(subject.artefact, subject.entry, {}, b"", {}, refuse)
-    found = problems(registry, broken)["renders"]
-    assert "set first: Error: values don't meet" in found
-    assert "the chart runs no image" in found
+    problem = problems(registry, broken)["renders"]
+    assert "set first: Error: values don't meet" in problem
+    assert "the chart runs no image" in problem
 
 
 def test_references_by_digest() -> None:
-    found = image_checks.read_reference(f"{HOST}/a/b-c/d@sha256:{'0' * 64}")
-    assert found is not None
-    assert (found.host, found.repository, str(found)) == (HOST, "a/b-c/d", f"{HOST}/a/b-c/d@sha256:{'0' * 64}")
+    read = image_checks.read_reference(f"{HOST}/a/b-c/d@sha256:{'0' * 64}")
+    assert read is not None
+    assert (read.host, read.repository, str(read)) == (HOST, "a/b-c/d", f"{HOST}/a/b-c/d@sha256:{'0' * 64}")
     for text in ("ros", f"{HOST}/a@sha256:{'0' * 63}", f"{HOST}/A@sha256:{'0' * 64}", f"{HOST}/../a@sha256:{'0' * 64}"):
         assert image_checks.read_reference(text) is None

@@ -47,8 +47,8 @@ def organisation(forge_process: ForgeProcess) -> str:
 
 @pytest.fixture
 def registry(forge_process: ForgeProcess) -> Iterator[OciRegistry]:
-    with OciRegistry(forge_process.url, forge_process.administrator, forge_process.administrator_password) as found:
-        yield found
+    with OciRegistry(forge_process.url, forge_process.administrator, forge_process.administrator_password) as client:
+        yield client
 
 
 @pytest.fixture(scope="module")
@@ -71,9 +71,9 @@ def failed(registry: OciRegistry, subject: Subject) -> list[str]:
 
 
 def test_the_bill_names_the_modules_of_a_go_program(image: BuiltImage) -> None:
-    found = {one.get("bom-ref", one["name"]): one for one in json.loads(image.bill.read_bytes())["components"]}
-    assert found["program:/ferretdb"]["version"] == "0.1.0"
-    assert any(reference.startswith("pkg:golang/github.com/alecthomas/kong@v") for reference in found)
+    components = {one.get("bom-ref", one["name"]): one for one in json.loads(image.bill.read_bytes())["components"]}
+    assert components["program:/ferretdb"]["version"] == "0.1.0"
+    assert any(reference.startswith("pkg:golang/github.com/alecthomas/kong@v") for reference in components)
 
 
 def test_an_image_passes_once_its_bill_is_attached(

@@ -55,9 +55,9 @@ def test_the_first_set_with_its_templates_filled_and_what_it_needs() -> None:
         seen.append((values, release))
         volumes = [{"name": "b", "secret": {"secretName": "broker-account"}}]
         environment = [{"name": "P", "valueFrom": {"secretKeyRef": {"name": "database-account", "key": "password"}}}]
-        found = deployment(release, volumes=volumes)
-        found["spec"]["template"]["spec"]["containers"][0]["env"] = environment
-        return [found]
+        rendered = deployment(release, volumes=volumes)
+        rendered["spec"]["template"]["spec"]["containers"][0]["env"] = environment
+        return [rendered]
 
     entry = with_set(prepare={"image": "ros", "command": ["make", 1]}, configMaps={"run": {"start": "{{ start_ns }}"}})
     test_namespace = MemoryTestNamespace()
@@ -101,8 +101,8 @@ def test_a_chart_that_the_api_server_or_helm_refuses() -> None:
 
 
 def test_a_chart_that_is_never_ready() -> None:
-    found = "Deployment greeter was not ready after 60 s\npod greeter-1: container main waits: CrashLoopBackOff"
-    checks = judge(MemoryTestNamespace(readiness=[found]))
+    problem = "Deployment greeter was not ready after 60 s\npod greeter-1: container main waits: CrashLoopBackOff"
+    checks = judge(MemoryTestNamespace(readiness=[problem]))
     assert verdicts(checks) == {"installs": True, "becomes-ready": False}
     assert "CrashLoopBackOff" in checks["becomes-ready"].found
     assert "readiness probe" in checks["becomes-ready"].fix

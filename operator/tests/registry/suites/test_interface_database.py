@@ -86,7 +86,7 @@ def test_changed_settings_are_seen_at_work(namespace: LocalTestNamespace) -> Non
 def test_a_collection_that_is_not_declared_is_found(namespace: LocalTestNamespace) -> None:
     other = entry()
     del other["spec"]["suites"]["sets"][1:]
-    recorded = next(found for found in other["spec"]["interfaces"] if found["name"] == "recorded")
+    recorded = next(interface for interface in other["spec"]["interfaces"] if interface["name"] == "recorded")
     recorded["forEach"] = {"collection": ["samples", "no_such"]}
     failed = [check.name for check in checks_of(other, namespace, SHORT) if not check.passed]
     # what goes to segments leads to nothing that is declared: not even to the recording's own document

@@ -86,8 +86,8 @@ def test_an_interface_stands_once_per_element_with_everything_of_it() -> None:
         "qos": {"reliability": "{{ topic.reliability | default('reliable') }}", "durability": "volatile"},
     }
     out = [{"name": "/a", "type": POSE}, {"name": "/b", "type": STRING, "reliability": "best_effort"}]
-    found = expected(loop, out=out)
-    assert [(t.topic, t.type, t.reliability) for t in found] == [
+    interfaces = expected(loop, out=out)
+    assert [(t.topic, t.type, t.reliability) for t in interfaces] == [
         ("/x/a", POSE, "reliable"),
         ("/x/b", STRING, "best_effort"),
     ]
@@ -235,14 +235,14 @@ def test_what_is_declared_and_seen_passes_besides_what_every_node_opens() -> Non
 )
 def test_a_deviation_on_ros_is_said_with_its_fix(change: dict[str, str], name: str, words: str) -> None:
     (topic,) = expected(OUTPUT)
-    found = failed((topic,), Observation(endpoints=(end(topic, **change),), seconds=3.0))
-    assert words in found[f"set s: {name}"]
+    deviations = failed((topic,), Observation(endpoints=(end(topic, **change),), seconds=3.0))
+    assert words in deviations[f"set s: {name}"]
 
 
 def test_one_wrong_endpoint_among_right_ones_is_found() -> None:
     (topic,) = expected(OUTPUT)
-    found = failed((topic,), Observation(endpoints=(end(topic), end(topic, type=POSE, node="/b"))))
-    assert list(found) == ["set s: ros out /out: wrong type"]
+    deviations = failed((topic,), Observation(endpoints=(end(topic), end(topic, type=POSE, node="/b"))))
+    assert list(deviations) == ["set s: ros out /out: wrong type"]
 
 
 @pytest.mark.parametrize(
@@ -272,9 +272,9 @@ def test_one_wrong_endpoint_among_right_ones_is_found() -> None:
     ],
 )
 def test_a_deviation_at_the_broker_is_said_with_its_fix(seen: Observation, name: str, words: str) -> None:
-    found = failed(expected(FRAME), seen)
-    assert words in found[f"set s: mqtt out state: {name}"]
-    assert "interface frame" in found[f"set s: mqtt out state: {name}"]
+    deviations = failed(expected(FRAME), seen)
+    assert words in deviations[f"set s: mqtt out state: {name}"]
+    assert "interface frame" in deviations[f"set s: mqtt out state: {name}"]
 
 
 def test_what_nobody_declared_is_found_everywhere() -> None:
@@ -284,18 +284,18 @@ def test_what_nobody_declared_is_found_everywhere() -> None:
         subscriptions=(Subscription("state/#", 1),),
         collections=("samples", "other"),
     )
-    found = failed(expected(FRAME, STORED), seen)
-    assert f"node /spy subscribes to /hidden ({POSE}), which" in found["set s: undeclared topic ros in /hidden"]
-    assert "set s: undeclared topic mqtt out secret" in found
-    assert "set s: undeclared topic mqtt in state/#" in found
-    assert "collection other was made" in found["set s: undeclared collection database out other"]
-    assert not any("samples" in name for name in found)
+    deviations = failed(expected(FRAME, STORED), seen)
+    assert f"node /spy subscribes to /hidden ({POSE}), which" in deviations["set s: undeclared topic ros in /hidden"]
+    assert "set s: undeclared topic mqtt out secret" in deviations
+    assert "set s: undeclared topic mqtt in state/#" in deviations
+    assert "collection other was made" in deviations["set s: undeclared collection database out other"]
+    assert not any("samples" in name for name in deviations)
 
 
 def test_an_output_is_not_an_input_of_the_same_topic() -> None:
     (topic,) = expected(OUTPUT)
-    found = failed((topic,), Observation(endpoints=(end(topic), end(topic, direction="in"))))
-    assert list(found) == ["set s: undeclared topic ros in /out"]
+    deviations = failed((topic,), Observation(endpoints=(end(topic), end(topic, direction="in"))))
+    assert list(deviations) == ["set s: undeclared topic ros in /out"]
 
 
 def test_a_topic_of_every_node_with_another_type_is_undeclared() -> None:
@@ -328,9 +328,9 @@ LOG = f"""\
 
 def test_the_brokers_log_tells_subscriptions_and_what_came_before_the_observer() -> None:
     seen = Observation(publications=(ObservedPublication("state", 0, False, "text"),))
-    found = with_broker_log(seen, LOG, "suite-abc")
-    assert found.subscriptions == (Subscription("mqtt/route", 1),)
-    assert found.publications == (
+    observed = with_broker_log(seen, LOG, "suite-abc")
+    assert observed.subscriptions == (Subscription("mqtt/route", 1),)
+    assert observed.publications == (
         ObservedPublication("state", 0, False, "text"),
         ObservedPublication("mqtt/pose", 1, True),
     )

@@ -61,13 +61,13 @@ def test_a_charts_objects_are_changed_by_namespace_domain_and_label_only() -> No
     api = MemoryNamespaceObjects()
     item = deployment(initContainers=[{"name": "first", "env": [{"name": "ROS_DOMAIN_ID", "value": "0"}]}])
     make_namespace(api)[0].apply([item, CONFIG_MAP])
-    found = api.objects["Deployment", "greeter"]
-    assert found["metadata"] == {
+    applied = api.objects["Deployment", "greeter"]
+    assert applied["metadata"] == {
         "name": "greeter",
         "namespace": "robotkube-suite-0",
         "labels": {"robotkube.io/suite": "subject", "robotkube.io/peer": "true"},
     }
-    template = found["spec"]["template"]
+    template = applied["spec"]["template"]
     assert template["metadata"]["labels"] == {
         "app": "greeter",
         "robotkube.io/suite": "subject",
@@ -76,7 +76,7 @@ def test_a_charts_objects_are_changed_by_namespace_domain_and_label_only() -> No
     domain = [{"name": "ROS_DOMAIN_ID", "value": "91"}]
     assert template["spec"]["initContainers"] == [{"name": "first", "env": domain}]
     assert template["spec"]["containers"] == [{"name": "main", "image": "i@sha256:0", "env": domain}]
-    assert found["spec"]["selector"] == item["spec"]["selector"]
+    assert applied["spec"]["selector"] == item["spec"]["selector"]
     assert api.objects["ConfigMap", "greeter"]["data"] == {"a": "b"}
 
 

@@ -72,8 +72,8 @@ def pool(api_server: ApiServerProcess) -> ApiServerProcess:
     ]
     done = subprocess.run([program("helm"), *words], capture_output=True, text=True, timeout=60, check=True)
     api = Api(api_client(str(api_server.kubeconfig)))
-    found = [item for item in yaml.load_all(done.stdout, Loader=yaml.CSafeLoader) if item and item["kind"] in KINDS]
-    for item in sorted(found, key=lambda item: KINDS.index(item["kind"])):
+    of_pool = [item for item in yaml.load_all(done.stdout, Loader=yaml.CSafeLoader) if item and item["kind"] in KINDS]
+    for item in sorted(of_pool, key=lambda item: KINDS.index(item["kind"])):
         namespace = item["metadata"].get("namespace", "robotkube")
         if namespace.startswith("robotkube-suite-") or item["metadata"]["name"].startswith(
             ("robotkube-suite-", "suite-")
@@ -90,9 +90,9 @@ def runner(pool: ApiServerProcess, api: Api, tmp_path: Path) -> Iterator[Api]:
     token = json.loads(call(api.client, "POST", path, body=body).data)["status"]["token"]
     access = tmp_path / "kubeconfig"
     access.write_text(pool.kubeconfig.read_text().replace(pool.token, token))
-    found = Api(api_client(str(access)))
-    yield found
-    found.client.rest_client.pool_manager.clear()
+    as_runner = Api(api_client(str(access)))
+    yield as_runner
+    as_runner.client.rest_client.pool_manager.clear()
 
 
 @pytest.fixture
@@ -173,9 +173,9 @@ def test_a_charts_objects_are_made_replaced_and_deleted(stage: Stage, objects: K
     stage.namespace.apply([GREETER, config_map(a="1", b="2")])
     assert stage.namespace.leftovers() == ["ConfigMap greeter", "Deployment greeter"]
     stage.namespace.apply([GREETER, config_map(a="3")])
-    found = objects.get("ConfigMap", "greeter")
-    assert found is not None
-    assert found["data"] == {"a": "3"}, "what the new version has not is gone"
+    read_back = objects.get("ConfigMap", "greeter")
+    assert read_back is not None
+    assert read_back["data"] == {"a": "3"}, "what the new version has not is gone"
     applied = objects.get("Deployment", "greeter")
     assert applied is not None
     [container] = applied["spec"]["template"]["spec"]["containers"]
@@ -213,8 +213,8 @@ def test_broker_and_database_are_let_in(stage: Stage, api: Api) -> None:
     assert (broker.host, broker.port, database.host) == ("10.0.0.9", 1883, "10.0.0.9")
     assert stage.accounts == [database]
     for name, key in (("broker-account", "host"), ("database-account", "authenticationDatabase")):
-        found = json.loads(call(api.client, "GET", f"/api/v1/namespaces/{NAMESPACE}/secrets/{name}").data)
-        assert key in found["data"]
+        secret = json.loads(call(api.client, "GET", f"/api/v1/namespaces/{NAMESPACE}/secrets/{name}").data)
+        assert key in secret["data"]
     stage.cleaner.empty(20)
     assert json.loads(call(api.client, "GET", f"/api/v1/namespaces/{NAMESPACE}/secrets").data)["items"] == []
 

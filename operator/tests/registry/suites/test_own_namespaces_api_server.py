@@ -173,5 +173,5 @@ def test_missing_rights_are_named_before_anything_is_made(administrator: Api, ac
 
 
 def test_who_has_the_rights_can_run_both_suites(administrator: Api) -> None:
-    found = means(administrator)
-    assert (found.problem, sorted(found.suites)) == ("", ["install", "interface"])
+    own_means = means(administrator)
+    assert (own_means.problem, sorted(own_means.suites)) == ("", ["install", "interface"])

@@ -46,8 +46,8 @@ def configuration(installation: Installation, monkeypatch: pytest.MonkeyPatch) -
 
 @pytest.fixture
 def gate_registry(installation: Installation) -> Iterator[OciRegistry]:
-    with OciRegistry(installation.url, "gate", installation.passwords["gate"]) as found:
-        yield found
+    with OciRegistry(installation.url, "gate", installation.passwords["gate"]) as client:
+        yield client
 
 
 @pytest.fixture

@@ -118,9 +118,9 @@ def test_checks_that_are_refused(checks: Any, words: str) -> None:
 
 def test_what_a_suite_says_is_made_to_fit() -> None:
     long = "x" * (TEXT_CHARACTERS_MAX + 1)
-    found = tidy([Check("same\nname", True), Check("same name", False, long, "fix"), Check("", True)])
-    assert [check.name for check in found] == ["same name", "same name (2)", "check"]
-    assert len(found[1].found) <= TEXT_CHARACTERS_MAX
-    result = SuiteResult("install", "1", "failed", found, 1.0)
+    fitting = tidy([Check("same\nname", True), Check("same name", False, long, "fix"), Check("", True)])
+    assert [check.name for check in fitting] == ["same name", "same name (2)", "check"]
+    assert len(fitting[1].found) <= TEXT_CHARACTERS_MAX
+    result = SuiteResult("install", "1", "failed", fitting, 1.0)
     progress = SuiteProgress("finished", result)
     assert read_progress(json.loads(json.dumps(progress_document(progress)))) == progress

@@ -55,9 +55,9 @@ class Runner:
 
 @pytest.fixture
 def runner() -> Iterator[Runner]:
-    found = Runner()
-    yield found
-    found.server.stop()
+    stage = Runner()
+    yield stage
+    stage.server.stop()
 
 
 def test_the_gates_client_and_the_server_understand_each_other(runner: Runner) -> None:
@@ -108,9 +108,9 @@ def test_requests_that_are_refused(runner: Runner, path: str, content: bytes, st
 def waiting() -> Iterator[Runner]:
     """A runner that puts what it is asked for into its queue, where it waits."""
     queue = SuiteQueue(MemoryExecutor(), [], needs_namespace)
-    found = Runner(queue.put)
-    yield found
-    found.server.stop()
+    stage = Runner(queue.put)
+    yield stage
+    stage.server.stop()
 
 
 @given(mistaken(request_document(make_request())))
@@ -163,21 +163,21 @@ def process(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[bytes], str, str]
     environment = {**os.environ, "ROBOTKUBE_CONFIG": str(settings(tmp_path, listen=listen))}
     with (tmp_path / "log").open("wb") as log:
         command = [sys.executable, "-m", "robotkube.registry.suites"]
-        found = subprocess.Popen(command, env=environment, stderr=log)
+        program = subprocess.Popen(command, env=environment, stderr=log)
     lines: list[dict[str, Any]] = []
 
     def started() -> bool:
         lines[:] = [json.loads(line) for line in (tmp_path / "log").read_text().splitlines()]
-        assert found.poll() is None, lines
+        assert program.poll() is None, lines
         return any(line["event"] == "started" for line in lines)
 
     try:
         until(started, "the suite-runner started", START_SECONDS_MAX)
         started_line = next(line for line in lines if line["event"] == "started")
-        yield found, *(f"http://127.0.0.1:{started_line[name]}" for name in ("port", "health_port"))
+        yield program, *(f"http://127.0.0.1:{started_line[name]}" for name in ("port", "health_port"))
     finally:
-        found.kill()
-        found.wait(10)
+        program.kill()
+        program.wait(10)
 
 
 def test_the_process_runs_suites_and_ends_on_sigterm(process: tuple[subprocess.Popen[bytes], str, str]) -> None:

@@ -148,9 +148,9 @@ def test_a_chart_that_grows_under_traffic_is_refused() -> None:
 
 
 def test_ten_seconds_are_too_short_to_claim_anything() -> None:
-    found = soaked(MemoryTestNamespace(runs=[SENT], pods_seen=[[pod()], [pod()]]), 10, watch=growing_watch())
+    soak = soaked(MemoryTestNamespace(runs=[SENT], pods_seen=[[pod()], [pod()]]), 10, watch=growing_watch())
     words = "memory: not measured: 10 s are too short to claim anything, at least 45 are needed"
-    assert found["keeps-running"].found == f"10 s with traffic on 1 inputs; {words}"
+    assert soak["keeps-running"].found == f"10 s with traffic on 1 inputs; {words}"
 
 
 def test_a_chart_that_dies_under_traffic_is_stopped_and_judged() -> None:

@@ -157,20 +157,20 @@ def test_every_rule_of_pod_security_is_tried() -> None:
 
 @pytest.mark.parametrize("name", SECURITY)
 def test_a_pod_that_breaks_pod_security(name: str) -> None:
-    for change, found in SECURITY[name]:
+    for change, sentence in SECURITY[name]:
         problem = failed(rendering(change))[f"pod-security/{name}"]
-        assert found in problem.found
+        assert sentence in problem.found
         assert problem.fix
-        if "hostPath" in found:
+        if "hostPath" in sentence:
             shown("gate", problem.found, "way-to-the-machine")
 
 
 def test_containers_of_every_sort_are_looked_at() -> None:
     for kind in pod_security.CONTAINER_LISTS[1:]:
         change = of_pod(**{kind: [{**CONTAINER, "name": "other", "securityContext": {"privileged": True}}]})
-        found = failed(rendering(change))
-        assert "container other: privileged" in found["pod-security/privileged"].found
-        assert "pod-security/capabilities" in found
+        problems = failed(rendering(change))
+        assert "container other: privileged" in problems["pod-security/privileged"].found
+        assert "pod-security/capabilities" in problems
 
 
 def test_what_may_be_set_on_the_container_alone() -> None:
@@ -230,8 +230,8 @@ def test_all_problems_are_named_each_once() -> None:
 
 
 def test_a_long_list_of_problems_is_cut() -> None:
-    found = static_checks.check("x", [str(number) for number in range(100)], "fix").found
-    assert found.endswith(f"; {static_checks.PROBLEMS_SHOWN - 1}; and 80 more")
+    cut = static_checks.check("x", [str(number) for number in range(100)], "fix").found
+    assert cut.endswith(f"; {static_checks.PROBLEMS_SHOWN - 1}; and 80 more")
 
 
 def test_a_pod_of_any_kind_is_looked_at() -> None:
@@ -241,8 +241,8 @@ def test_a_pod_of_any_kind_is_looked_at() -> None:
         ("CronJob", {"jobTemplate": {"spec": {"template": template}}}),
         ("Pod", template["spec"]),
     ):
-        found = failed(rendering(lambda *_: None, {**object_of(kind), "spec": spec}))
-        assert f"{kind} one: hostNetwork" in found["pod-security/host-namespaces"].found
+        problems = failed(rendering(lambda *_: None, {**object_of(kind), "spec": spec}))
+        assert f"{kind} one: hostNetwork" in problems["pod-security/host-namespaces"].found
 
 
 @pytest.mark.parametrize(

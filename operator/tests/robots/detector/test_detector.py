@@ -88,10 +88,10 @@ def test_a_second_s_ages_have_quantiles_when_it_has_ended(stage: Stage) -> None:
         stage.send("vehicle-00", 0, age_ms=age)
 
     def quantiles() -> list[list[int]]:
-        found: list[list[int]] = stage.detector.input_document()["topics"]["/vehicles/vehicle_00/pose"][
+        ages: list[list[int]] = stage.detector.input_document()["topics"]["/vehicles/vehicle_00/pose"][
             "age_quantiles_ms"
         ]
-        return found
+        return ages
 
     assert quantiles() == []
     second = stage.now // (1000 * MS)

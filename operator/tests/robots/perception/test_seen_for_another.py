@@ -108,5 +108,5 @@ def test_what_the_cloud_detects_for_a_vehicle_returns_to_it(tmp_path: Path) -> N
         with running.publishing(VEHICLE, (cloud_topic(VEHICLE), CLOUD_TYPE, lidar_clouds.cloud(ahead))):
             [objects] = running.receive(VEHICLE, "/agents/cloud_0/vehicles/vehicle_00/objects", POSES)
     assert objects.header.frame_id == lidar_clouds.FRAME
-    [found] = objects.poses
-    assert math.dist((found.position.x, found.position.y), lidar_clouds.seen_at(ahead)) < 1.0
+    [pose] = objects.poses
+    assert math.dist((pose.position.x, pose.position.y), lidar_clouds.seen_at(ahead)) < 1.0

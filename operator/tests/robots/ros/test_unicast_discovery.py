@@ -88,17 +88,17 @@ def peer() -> Iterator[socket.socket]:
 
 def test_what_this_process_announces_arrives_at_a_peer(peer: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(unicast_discovery, "LOOK_SECONDS", 0.1)
-    found: list[frozenset[str]] = []
+    announced: list[frozenset[str]] = []
     answers = iter([frozenset[str](), frozenset({"127.0.0.1"})])  # no such Service; and nobody else is there
 
     def look() -> frozenset[str]:
-        found.append(next(answers, frozenset({"127.0.0.1", "127.0.0.7"})))
-        return found[-1]
+        announced.append(next(answers, frozenset({"127.0.0.1", "127.0.0.7"})))
+        return announced[-1]
 
     passing = UnicastDiscovery(DOMAIN, look, lambda: frozenset({"127.0.0.1"}))
     try:
         until(lambda: told(peer, "127.0.0.1", FIRST), "the peer hears it")
-        assert len(found) > 2
+        assert len(announced) > 2
         assert not any(told(peer, "127.0.0.9", SECOND) for _ in range(3)), "another one's was passed on"
     finally:
         passing.close()

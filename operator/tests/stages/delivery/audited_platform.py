@@ -104,8 +104,8 @@ class Repository:
         move: bool = True,
     ) -> str:
         """A commit on main's tip (or on `parents`); with `move` main goes there, whatever it had."""
-        found = self.git.references.get("refs/heads/main")
-        parents = ([str(found.target)] if found else []) if parents is None else list(parents)
+        tip = self.git.references.get("refs/heads/main")
+        parents = ([str(tip.target)] if tip else []) if parents is None else list(parents)
         tree = self._tree(self.git[parents[0]].tree if parents else None, changes)
         who = pygit2.Signature(author, f"{author}@robotkube.invalid", at, 0)
         commit = str(self.git.create_commit(None, who, who, message, tree, parents))

@@ -59,8 +59,8 @@ START_NS = 1795250000_000000000
 @cache
 def schema_file(chart: str, version: str) -> Mapping[str, str]:
     """The values schema of a chart of this project, with its values as default, as the gate publishes it."""
-    found = [REPOSITORY / "charts" / folder / chart for folder in ("apps", "earlier")]
-    source = next(f for f in found if yaml.safe_load((f / "Chart.yaml").read_text())["version"] == version)
+    folders = [REPOSITORY / "charts" / folder / chart for folder in ("apps", "earlier")]
+    source = next(f for f in folders if yaml.safe_load((f / "Chart.yaml").read_text())["version"] == version)
     schema = json.loads((source / "values.schema.json").read_text())
     schema["default"] = yaml.safe_load((source / "values.yaml").read_text())
     return {f"charts/{chart}/{version}.schema.json": json.dumps(schema, indent=1, sort_keys=True) + "\n"}

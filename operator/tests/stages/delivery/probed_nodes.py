@@ -47,5 +47,5 @@ def probed(**changed: Any) -> Probed:
 
 def probe_finding(check: str, outcome: Any, **changed: Any) -> ClusterFinding:
     """What a check of the probe finds in an outcome, when these facts are changed."""
-    found = facts(**{"installed": True, **changed}) | {"probed": outcome}
-    return next(one for one in PROBE_CHECKS if one.name == check).finding(found)
+    given = facts(**{"installed": True, **changed}) | {"probed": outcome}
+    return next(one for one in PROBE_CHECKS if one.name == check).finding(given)

@@ -42,9 +42,9 @@ def plugin() -> Path:
     program = shutil.which("mosquitto")
     assert program, "mosquitto is not installed"
     prefix = Path(program).resolve().parent.parent
-    found = sorted([*prefix.glob(f"lib/{PLUGIN}"), *prefix.glob(f"lib/*/{PLUGIN}")])
-    assert found, f"{prefix}/lib has no {PLUGIN}"
-    return found[0]
+    files = sorted([*prefix.glob(f"lib/{PLUGIN}"), *prefix.glob(f"lib/*/{PLUGIN}")])
+    assert files, f"{prefix}/lib has no {PLUGIN}"
+    return files[0]
 
 
 class RightsBroker:

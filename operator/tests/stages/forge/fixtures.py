@@ -92,12 +92,12 @@ def manager_api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
     process = ApiServerProcess(tmp_path_factory.mktemp("api"))
     try:
         process.start()
-        found = Api(api_client(str(process.kubeconfig)), process.kubeconfig)
-        prepare(found)
+        connected = Api(api_client(str(process.kubeconfig)), process.kubeconfig)
+        prepare(connected)
         for name, role in AGENTS:
-            found.node(name, role)
-        yield found
-        found.client.rest_client.pool_manager.clear()
+            connected.node(name, role)
+        yield connected
+        connected.client.rest_client.pool_manager.clear()
     finally:
         process.stop()
 

@@ -310,8 +310,8 @@ class Installation:
         """AGit push; the number of the pull request that opened."""
         refusal = clone.push(commit, "refs/for/main", [f"topic={topic}", "title=a plan"])
         assert refusal == "", refusal
-        found = self.client("gate").get("/pulls", params={"state": "all", "sort": "recentupdate", "limit": 10}).json()
-        return next(int(item["number"]) for item in found if item["head"]["sha"] == commit)
+        pulls = self.client("gate").get("/pulls", params={"state": "all", "sort": "recentupdate", "limit": 10}).json()
+        return next(int(item["number"]) for item in pulls if item["head"]["sha"] == commit)
 
 
 def outside(installation: Installation) -> Outside:

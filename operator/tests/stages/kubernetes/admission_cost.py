@@ -45,12 +45,12 @@ def create(api: Api, name: str, number: int) -> float:
 
 def validation_ms(api: Api) -> tuple[float, float]:
     """Sum and count of the API server's own time for policies."""
-    found = {"sum": 0.0, "count": 0.0}
+    totals = {"sum": 0.0, "count": 0.0}
     for line in api.client.get("/metrics").text.splitlines():
-        for part in found:
+        for part in totals:
             if line.startswith(f"{METRIC}_{part}{{") and all(label in line for label in LABELS):
-                found[part] += float(line.rpartition(" ")[2])
-    return found["sum"] * 1000, found["count"]
+                totals[part] += float(line.rpartition(" ")[2])
+    return totals["sum"] * 1000, totals["count"]
 
 
 def reload_seconds(api: Api, files: PolicyFiles, digests: int) -> float:

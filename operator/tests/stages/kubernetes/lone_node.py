@@ -136,13 +136,13 @@ def _started(folders: ClusterFolders, lock: tuple[image_lock.Image, ...]) -> Lon
     spec = NodeSpec(NAME, "vehicle", NAME, 500, 256 * MIB, ())
     node = Node(0, spec, plan_of("test"), folders)
     launcher = Launcher(folders, programs())
-    found = LoneNode(node, launcher, _held(node, launcher), lock)
-    runtime = node_processes.start_containerd(node, launcher, found.holder, image_lock.sandbox_of(lock))
-    socket = node_processes.socket_of(found.holder)
+    started = LoneNode(node, launcher, _held(node, launcher), lock)
+    runtime = node_processes.start_containerd(node, launcher, started.holder, image_lock.sandbox_of(lock))
+    socket = node_processes.socket_of(started.holder)
     processes.wait_until(lambda: image_imports.serving(socket, programs()), "containerd", 30, [runtime])
     for image in lock:
         image_imports.import_one(image, socket, programs())
-    return found
+    return started
 
 
 def _held(node: Node, launcher: Launcher) -> Process:

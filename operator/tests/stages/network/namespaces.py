@@ -17,10 +17,10 @@ REFUSED = (0, errno.ECONNREFUSED)  # somebody is there, and the packet came to h
 
 def begun(address: str, port: int) -> socket.socket:
     """A TCP connection that has sent its first packet."""
-    found = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    found.setblocking(False)
-    found.connect_ex((address, port))
-    return found
+    connection = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    connection.setblocking(False)
+    connection.connect_ex((address, port))
+    return connection
 
 
 def reached(
@@ -29,19 +29,19 @@ def reached(
     """Those of the addresses and ports (TCP) that answer or refuse: at once, for `least` seconds, in which a first
     packet that got lost is sent again, and until all of `wanted` have, at most `most`."""
     sockets = inside(namespace, lambda: {begun(*target): target for target in targets})
-    found: set[tuple[str, int]] = set()
+    accepted: set[tuple[str, int]] = set()
     start = time.monotonic()
     with selectors.DefaultSelector() as selector:
         for one, target in sockets.items():
             selector.register(one, selectors.EVENT_WRITE, target)
-        while time.monotonic() < start + (least if wanted <= found else most) and selector.get_map():
+        while time.monotonic() < start + (least if wanted <= accepted else most) and selector.get_map():
             for key, _ in selector.select(LOOK_SECONDS):
                 selector.unregister(key.fileobj)
                 if sockets_error(key.fileobj) in REFUSED:
-                    found.add(key.data)
+                    accepted.add(key.data)
     for one in sockets:
         one.close()
-    return found
+    return accepted
 
 
 def sockets_error(one: object) -> int:

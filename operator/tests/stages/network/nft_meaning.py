@@ -63,13 +63,13 @@ class Table:
         rest = line
         while rest:
             for pattern, holds in CONDITIONS:
-                if found := pattern.match(rest):
-                    answer = holds(self, packet, found)
+                if match := pattern.match(rest):
+                    answer = holds(self, packet, match)
                     if answer is False:
                         return ""
                     if isinstance(answer, str):
                         return answer
-                    rest = rest[found.end() :].strip()
+                    rest = rest[match.end() :].strip()
                     break
             else:
                 raise AssertionError(f"not understood: {rest!r} of {line!r}")

@@ -34,15 +34,15 @@ OUTSIDE = (PlacedPod(NetworkPeer("host", "10.89.0.1")), PlacedPod(NetworkPeer("a
 
 
 def _placed() -> list[PlacedPod]:
-    found = []
+    placed = []
     for number, (namespace, app) in enumerate((ns, app) for ns in TEAMS for app in ("web", "store")):
         for node, name in enumerate(NODES, 1):
             peer = NetworkPeer(
                 f"{app}-{name}", f"10.244.{node}.{number + 2}", namespace, {"app": app, "on": name},
                 {"team": TEAMS[namespace], "name": namespace}, NAMED[(number + node) % len(NAMED)],
             )  # fmt: skip
-            found.append(PlacedPod(peer, name, f"veth{node}{number}"))
-    return found
+            placed.append(PlacedPod(peer, name, f"veth{node}{number}"))
+    return placed
 
 
 PODS = _placed()

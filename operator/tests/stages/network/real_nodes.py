@@ -131,11 +131,11 @@ class RealNodes:
 
     def drops(self) -> Mapping[str, int]:
         """How many packets were dropped, by the words beside the rule."""
-        found: dict[str, int] = {}
+        counts: dict[str, int] = {}
         for node in self.nodes:
             for number, words in DROPPED.findall(self.inside(node, "nft", "list", "ruleset")):
-                found[words] = found.get(words, 0) + int(number)
-        return found
+                counts[words] = counts.get(words, 0) + int(number)
+        return counts
 
     def open(self, place: str, made: Callable[[], T]) -> T:
         """What `made` returns, called in a namespace: a socket that it makes stays there."""

@@ -62,8 +62,8 @@ def older_chart(folder: Path, commit: str = "HEAD~1") -> Path:
 
 def columns(platform: Platform) -> list[str]:
     """The columns that `kubectl get tasks` shows."""
-    found = platform.get("customresourcedefinition", TASKS)
-    return [column["name"] for column in found["spec"]["versions"][0]["additionalPrinterColumns"]]
+    definition = platform.get("customresourcedefinition", TASKS)
+    return [column["name"] for column in definition["spec"]["versions"][0]["additionalPrinterColumns"]]
 
 
 def versions(objects: Iterable[Mapping[str, Any]]) -> dict[str, Any]:

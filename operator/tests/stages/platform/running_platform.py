@@ -100,15 +100,15 @@ class Platform:
 
     def deployment(self, namespace: str, name: str) -> dict[str, Any]:
         """A Deployment, empty when there is none."""
-        found = self.kubectl("-n", namespace, "get", "deployment", name, "--ignore-not-found", "-o", "json")
-        return dict(json.loads(found)) if found else {}
+        text = self.kubectl("-n", namespace, "get", "deployment", name, "--ignore-not-found", "-o", "json")
+        return dict(json.loads(text)) if text else {}
 
     def available(self, namespace: str, name: str) -> bool:
         """Whether all replicas of a Deployment are there, as last asked for."""
-        found = self.deployment(namespace, name)
-        status = found.get("status", {})
-        seen = status.get("observedGeneration") == found.get("metadata", {}).get("generation")
-        return bool(found) and seen and status.get("availableReplicas", 0) == found["spec"]["replicas"] > 0
+        deployment = self.deployment(namespace, name)
+        status = deployment.get("status", {})
+        seen = status.get("observedGeneration") == deployment.get("metadata", {}).get("generation")
+        return bool(deployment) and seen and status.get("availableReplicas", 0) == deployment["spec"]["replicas"] > 0
 
     def settled(self) -> bool:
         """Whether everything that main asks for runs: Applications Synced and Healthy."""

@@ -133,17 +133,17 @@ def _frame(kind: int, flags: int, stream: int, payload: bytes) -> bytes:
 
 def _answer(connection: socket.socket) -> bytes:
     """The data of stream 1, to its end."""
-    found = b""
+    payloads = b""
     for kind, flags, stream, payload in _frames(connection):
         if kind == SETTINGS and not flags & ACK:
             connection.sendall(_frame(SETTINGS, ACK, 0, b""))
         elif kind == PING and not flags & ACK:
             connection.sendall(_frame(PING, ACK, 0, payload))
         elif kind == DATA and stream == 1:
-            found += payload
+            payloads += payload
         if kind == GOAWAY or (stream == 1 and kind in (DATA, HEADERS) and flags & END_STREAM):
-            return found
-    return found
+            return payloads
+    return payloads
 
 
 def _frames(connection: socket.socket) -> Iterator[tuple[int, int, int, bytes]]:

@@ -48,21 +48,21 @@ def results(platform: Platform, requests: Mapping[str, SuiteRequest], seconds: f
     where = platform.access.endpoint("suite-runner")
     token = platform.access.secret("robotkube", "suite-runner-token")["token"]
     runner = SuiteRunnerClient(replace(where, host=SUITE_RUNNER).url, token)
-    found: dict[str, SuiteResult] = {}
+    by_suite: dict[str, SuiteResult] = {}
 
     def finished() -> bool:
         for name, asked in requests.items():
             progress = runner.run(asked)
             if progress.result is not None:
-                found[name] = progress.result
-        return len(found) == len(requests)
+                by_suite[name] = progress.result
+        return len(by_suite) == len(requests)
 
     try:
         with resolved(SUITE_RUNNER, where.host):
             eventually("the suite-runner has run all suites", finished, seconds)
     finally:
         runner.disconnect()
-    return found
+    return by_suite
 
 
 def said(result: SuiteResult) -> str:
@@ -88,6 +88,6 @@ def await_empty(platform: Platform) -> None:
 
 
 def _left(platform: Platform, namespace: str) -> list[str]:
-    found = platform.get("-n", namespace, "deployments,replicasets,pods,secrets,configmaps")["items"]
-    names = [f"{item['kind']} {item['metadata']['name']}" for item in found]
+    items = platform.get("-n", namespace, "deployments,replicasets,pods,secrets,configmaps")["items"]
+    names = [f"{item['kind']} {item['metadata']['name']}" for item in items]
     return [name for name in names if name != "ConfigMap kube-root-ca.crt"]

@@ -105,8 +105,8 @@ class Stage:
 
     def condition(self, key: str, kind: str = "Accepted") -> Mapping[str, str]:
         """A condition of a task, empty while it has none: what its submitter reads."""
-        found = self.platform.access.task(*key.split("/", 1)) or {}
-        conditions = found.get("status", {}).get("conditions", [])
+        description = self.platform.access.task(*key.split("/", 1)) or {}
+        conditions = description.get("status", {}).get("conditions", [])
         return next((one for one in conditions if one["type"] == kind), {})
 
     def await_reason(self, key: str, reason: str) -> Mapping[str, str]:

@@ -48,11 +48,11 @@ class AskingRegistry:
 
     def referrers(self, name: str, subject: str) -> list[dict[str, Any]]:
         """What of a repository is attached to a manifest."""
-        found = {}
+        listed = {}
         for (repository, _), data in self.manifests.items():
             if repository == name and json.loads(data).get("subject", {}).get("digest") == subject:
-                found[sha256(data)] = entry_of(data, "referrer")
-        return [found[digest] for digest in sorted(found)]
+                listed[sha256(data)] = entry_of(data, "referrer")
+        return [listed[digest] for digest in sorted(listed)]
 
     def needed(self, method: str, path: str) -> str:
         """The scope that a request needs."""

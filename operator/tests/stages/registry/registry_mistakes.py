@@ -98,8 +98,8 @@ def parameter(name: str, schema: Any) -> Change:
 
 def alike_test_values(folder: Path) -> None:
     """The second set of test values says the same as the first."""
-    found = yaml.safe_load((folder / BRIDGE).read_text())["spec"]["suites"]["sets"]
-    put(BRIDGE, "spec.suites.sets[1].values", found[0]["values"])(folder)
+    sets = yaml.safe_load((folder / BRIDGE).read_text())["spec"]["suites"]["sets"]
+    put(BRIDGE, "spec.suites.sets[1].values", sets[0]["values"])(folder)
 
 
 FILES = [

@@ -33,15 +33,15 @@ def main(own: str, peer: str) -> int:
     print("before:", sum(turn(said, heard) for _ in range(TURNS_BEFORE)), flush=True)
     discovery = UnicastDiscovery(0, lambda: frozenset({own, peer}), lambda: frozenset({own}))
     end = time.monotonic() + SECONDS_MAX
-    while not (found := turn(said, heard)) and time.monotonic() < end:
+    while not (ended := turn(said, heard)) and time.monotonic() < end:
         pass
-    print("after:", found, flush=True)
+    print("after:", ended, flush=True)
     for _ in range(TURNS_BEFORE):  # the other one may have begun later
         said.publish(WORD)
         time.sleep(TURN_SECONDS)
     discovery.close()
     node.close()
-    return 0 if found else 1
+    return 0 if ended else 1
 
 
 if __name__ == "__main__":

@@ -52,16 +52,16 @@ def test_a_claim_that_nobody_used_gets_a_free_volume_of_its_agent(tmp_path: Path
 
 
 def test_files_are_read_where_they_are(tmp_path: Path) -> None:
-    found = volumes(Answers(tmp_path, "v-0"))
+    disk = volumes(Answers(tmp_path, "v-0"))
     (tmp_path / "a").write_bytes(b"12345")
-    assert found.fetch(CLAIM, "a") == tmp_path / "a"
-    assert found.end_of(CLAIM, "a", 2) == b"45"
-    assert found.end_of(CLAIM, "a", 20) == b"12345"
-    assert found.end_of(CLAIM, "b", 20) == b""
-    found.make(CLAIM, "ledger")
-    found.make(CLAIM, "ledger")
+    assert disk.fetch(CLAIM, "a") == tmp_path / "a"
+    assert disk.end_of(CLAIM, "a", 2) == b"45"
+    assert disk.end_of(CLAIM, "a", 20) == b"12345"
+    assert disk.end_of(CLAIM, "b", 20) == b""
+    disk.make(CLAIM, "ledger")
+    disk.make(CLAIM, "ledger")
     assert (tmp_path / "ledger").stat().st_uid == disk_volumes.OWNER or os.getuid() != 0
-    assert not found.place(CLAIM, bag(tmp_path / "bags" / "vehicle-00"))
+    assert not disk.place(CLAIM, bag(tmp_path / "bags" / "vehicle-00"))
     assert (tmp_path / "vehicle-00" / "vehicle-00.mcap").is_file()
 
 

@@ -24,19 +24,19 @@ BINARIES = "/somewhere/toolchain/bin"
 def folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ClusterFolders:
     """The records of a cluster with one node whose processes have all ended."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    found = ClusterFolders(CLUSTER)
-    found.processes.mkdir(parents=True)
+    cluster_folders = ClusterFolders(CLUSTER)
+    cluster_folders.processes.mkdir(parents=True)
     for name in ("node", *outages.DAEMONS):
         command = (*ENTER, f"{BINARIES}/{name}", "--config", "x")
         process = Process(f"vehicle-00.{name}", 2**22 + 1, 1, command, str(tmp_path / "log"))
-        (found.processes / f"{process.name}.json").write_text(json.dumps(asdict(process)))
-    return found
+        (cluster_folders.processes / f"{process.name}.json").write_text(json.dumps(asdict(process)))
+    return cluster_folders
 
 
 def test_daemons_come_in_the_order_in_which_they_start(folders: ClusterFolders) -> None:
-    found = outages._daemons(folders, "vehicle-00")
-    assert [process.name for process in found] == [f"vehicle-00.{name}" for name in outages.DAEMONS]
-    assert {str(outages._program(process).parent) for process in found} == {BINARIES}
+    daemons = outages._daemons(folders, "vehicle-00")
+    assert [process.name for process in daemons] == [f"vehicle-00.{name}" for name in outages.DAEMONS]
+    assert {str(outages._program(process).parent) for process in daemons} == {BINARIES}
 
 
 def test_stopping_what_has_stopped_is_fine(folders: ClusterFolders) -> None:

@@ -57,7 +57,7 @@ def given(api_server: ApiServerProcess, api: Api, tmp_path: Path, monkeypatch: p
 def everything(api: Api) -> Mapping[str, Any]:
     """Every object of the API server by its path and name, without what counts its versions."""
     groups = [version["groupVersion"] for group in api.get("/apis")["groups"] for version in group["versions"]]
-    found = {}
+    objects = {}
     for path in ("/api/v1", *(f"/apis/{group}" for group in groups)):
         kinds = [one["name"] for one in api.get(path)["resources"] if "list" in one["verbs"]]
         for kind in set(kinds) - OWN_OF_THE_SERVER:
@@ -65,13 +65,13 @@ def everything(api: Api) -> Mapping[str, Any]:
                 metadata = item.get("metadata", {})
                 for key in ("resourceVersion", "managedFields"):
                     metadata.pop(key, None)
-                found[f"{path}/{kind}/{metadata.get('namespace', '')}/{metadata.get('name')}"] = item
-    return found
+                objects[f"{path}/{kind}/{metadata.get('namespace', '')}/{metadata.get('name')}"] = item
+    return objects
 
 
 def labels(api: Api, name: str) -> Mapping[str, str]:
-    found: Mapping[str, str] = api.get(f"/api/v1/nodes/{name}")["metadata"].get("labels", {})
-    return found
+    of_node: Mapping[str, str] = api.get(f"/api/v1/nodes/{name}")["metadata"].get("labels", {})
+    return of_node
 
 
 def test_what_was_added_goes_and_every_object_is_as_before(api: Api, given: GivenCluster, tmp_path: Path) -> None:

@@ -73,7 +73,7 @@ class Server:
     def everything(self) -> dict[str, Any]:
         """Every object by its path and name, without what counts its versions and what passes."""
         groups = [version["groupVersion"] for group in self.get("/apis")["groups"] for version in group["versions"]]
-        found = {}
+        objects = {}
         for path in ("/api/v1", *(f"/apis/{group}" for group in groups)):
             kinds = {one["name"] for one in self.get(path)["resources"] if "list" in one["verbs"]}
             for kind in kinds - PASSING:
@@ -84,8 +84,8 @@ class Server:
                     metadata.get("annotations", {}).pop(REVISION, None)
                     item.pop("status", None)
                     item.get("spec", {}).pop("taints", None)  # nobody keeps these Nodes ready
-                    found[f"{path}/{kind}/{metadata.get('namespace', '')}/{metadata['name']}"] = item
-        return found
+                    objects[f"{path}/{kind}/{metadata.get('namespace', '')}/{metadata['name']}"] = item
+        return objects
 
 
 @pytest.fixture(scope="module")
@@ -117,9 +117,9 @@ def given(server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> It
     (tmp_path / "agents.yaml").write_text(yaml.safe_dump({"agents": entries}))
     agents, kubeconfig = tmp_path / "agents.yaml", str(server.process.kubeconfig)
     reached = GivenCluster(kubeconfig, registry="registry.example/r", agents=agents, agreed=True)
-    found = Existing(reached, binaries=programs())
-    yield found
-    found._nodes._api.close()
+    provider = Existing(reached, binaries=programs())
+    yield provider
+    provider._nodes._api.close()
 
 
 def install(cluster: Existing, tmp_path: Path) -> str:

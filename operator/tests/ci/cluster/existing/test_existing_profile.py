@@ -54,9 +54,9 @@ def cluster(tmp_path: Path) -> Iterator[Existing]:
         agents=tmp_path / "agents.yaml",
         values=tmp_path / "values.yaml",
     )
-    found = Existing(given)
-    yield found
-    found._nodes._api.close()
+    provider = Existing(given)
+    yield provider
+    provider._nodes._api.close()
 
 
 def test_the_chart_is_told_agents_registry_and_what_the_file_says(cluster: Existing) -> None:

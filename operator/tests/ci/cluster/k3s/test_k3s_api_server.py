@@ -96,14 +96,14 @@ def images(tmp_path: Path) -> list[Image]:
 
 def everything(api: Api) -> Mapping[str, Any]:
     """Nodes without what counts their versions and what they say themselves, and namespaces."""
-    found = {}
+    objects = {}
     for kind in ("nodes", "namespaces"):
         for item in api.get(f"/api/v1/{kind}")["items"]:
             for key in ("resourceVersion", "managedFields"):
                 item["metadata"].pop(key, None)
             item.pop("status")
-            found[f"{kind}/{item['metadata']['name']}"] = item
-    return found
+            objects[f"{kind}/{item['metadata']['name']}"] = item
+    return objects
 
 
 @contextmanager

@@ -43,9 +43,9 @@ def application(version: str) -> str:
 
 @pytest.fixture(scope="module")
 def bridge(installation: Installation) -> Iterator[Published]:
-    with published_bridge(installation, "0.13.0") as found:
+    with published_bridge(installation, "0.13.0") as published:
         installation.publish({APPLICATION: application("0.13.0")})
-        yield found
+        yield published
     installation.publish({APPLICATION: None})
 
 

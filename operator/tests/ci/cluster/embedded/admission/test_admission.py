@@ -49,9 +49,9 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def folders() -> ClusterFolders:
-    found = ClusterFolders("demo")
-    admission_files.prepare(found, topology.read(SCENARIO, {"vehicles": "2"}), LOCK)
-    return found
+    cluster_folders = ClusterFolders("demo")
+    admission_files.prepare(cluster_folders, topology.read(SCENARIO, {"vehicles": "2"}), LOCK)
+    return cluster_folders
 
 
 def policies(folders: ClusterFolders) -> dict[str, str]:
@@ -79,12 +79,12 @@ def test_another_choice_is_another_cluster(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 def test_before_the_api_server_starts_the_platforms_images_are_listed(folders: ClusterFolders) -> None:
-    found = policies(folders)
-    assert digest(2) in found["robotkube-platform.static.k8s.io"]
-    assert digest(4) in found["robotkube-elsewhere.static.k8s.io"]
-    assert digest(2) not in found["robotkube-agents.static.k8s.io"]
-    assert '"vehicle-00", "vehicle-01"]' in found["robotkube-agents.static.k8s.io"]
-    assert str(folders.volumes) in found["robotkube-volumes.static.k8s.io"]
+    listed = policies(folders)
+    assert digest(2) in listed["robotkube-platform.static.k8s.io"]
+    assert digest(4) in listed["robotkube-elsewhere.static.k8s.io"]
+    assert digest(2) not in listed["robotkube-agents.static.k8s.io"]
+    assert '"vehicle-00", "vehicle-01"]' in listed["robotkube-agents.static.k8s.io"]
+    assert str(folders.volumes) in listed["robotkube-volumes.static.k8s.io"]
     key = evidence.signing_key()
     assert TrustedKeys(admission_files.folder(folders) / "keys").trusted() == {key.key_id}
 
@@ -157,9 +157,9 @@ def test_policies_follow_what_is_published_on_this_machine(folders: ClusterFolde
     forge.publish(catalogue(published(key, app, images=(image(1),))))
     assert following.step()
     assert not following.step()
-    found = policies(folders)
-    assert digest(1) in found["robotkube-agents.static.k8s.io"]
-    assert f"app@{app.digest}" in found["robotkube-applications.static.k8s.io"]
+    listed = policies(folders)
+    assert digest(1) in listed["robotkube-agents.static.k8s.io"]
+    assert f"app@{app.digest}" in listed["robotkube-applications.static.k8s.io"]
     forge.publish(catalogue(published(key, artefact(content="again"), images=(image(6),))))
     assert following.step()
     assert {word for word in (digest(1), digest(6)) if word in policies(folders)["robotkube-agents.static.k8s.io"]} == {
@@ -173,10 +173,10 @@ def test_a_forge_with_another_volume_is_followed_there(forge: Forge, tmp_path: P
     for one, name in ((forge, "first"), (other, "second")):
         one.install()
         one.publish({"charts/a.txt": name})
-    found = CatalogueOnDisk(lambda: places[-1], tmp_path / "clones")
-    assert found.files(found.fetch(), ["charts"]) == {"charts/a.txt": "first"}
+    on_disk = CatalogueOnDisk(lambda: places[-1], tmp_path / "clones")
+    assert on_disk.files(on_disk.fetch(), ["charts"]) == {"charts/a.txt": "first"}
     places.append(other.repositories)
-    assert found.files(found.fetch(), ["charts"]) == {"charts/a.txt": "second"}
+    assert on_disk.files(on_disk.fetch(), ["charts"]) == {"charts/a.txt": "second"}
 
 
 def test_main_is_fetched_when_it_moved_and_not_otherwise(
@@ -184,14 +184,14 @@ def test_main_is_fetched_when_it_moved_and_not_otherwise(
 ) -> None:
     forge.install()
     forge.publish({"charts/a.txt": "1"})
-    found = CatalogueOnDisk(lambda: forge.repositories, tmp_path / "clones")
-    first = found.fetch()
+    on_disk = CatalogueOnDisk(lambda: forge.repositories, tmp_path / "clones")
+    first = on_disk.fetch()
     subprocess.run(["git", "-C", str(forge.bare), "pack-refs", "--all"], check=True, timeout=30)
-    assert found.fetch() == first  # packed: read again, to the same end
+    assert on_disk.fetch() == first  # packed: read again, to the same end
     monkeypatch.setattr(
         "ci.cluster.embedded.admission.catalogue_on_disk.GitClone.fetch", lambda self: pytest.fail("main stands still")
     )
-    assert found.fetch() == first
+    assert on_disk.fetch() == first
 
 
 def test_the_forges_folder_is_asked_now_and_then_and_the_last_answer_counts() -> None:
@@ -294,25 +294,25 @@ def test_the_dry_run_names_what_could_not_be_made_again(forge: Forge) -> None:
         (pods, bare), (deployments, running), (deployments, of_the_platform), (applications, application())
     )
     wanted = topology.read(SCENARIO, {"vehicles": "2"})
-    found = report(cluster, ClusterFolders("demo"), wanted, LOCK)
+    stranded = report(cluster, ClusterFolders("demo"), wanted, LOCK)
     not_listed = f"image {image(1)} is not listed for this namespace"
-    assert [str(one) for one in found.stranded] == [
+    assert [str(one) for one in stranded.stranded] == [
         f"argocd/application/vehicle-00-detector: chart {CHARTS}/event-detector at {CHART} is not verified on the "
         "catalogue's main",
         f"vehicle-00/deployment/detector: {not_listed}",
         f"vehicle-00/pod/pod: {not_listed}",
         "vehicle-00/pod/pod: no controller made this pod",
     ]
-    assert "the forge is not installed yet" in found.lines[0]
-    assert found.lines[-1] == "4 objects would be stranded (0 charts, 0 images, 2 of the platform listed)"
+    assert "the forge is not installed yet" in stranded.lines[0]
+    assert stranded.lines[-1] == "4 objects would be stranded (0 charts, 0 images, 2 of the platform listed)"
     forge.install()
     app = artefact("event-detector")
     forge.publish(catalogue(published(evidence.signing_key(), app, images=(image(1),))))
     cluster.volume = str(forge.repositories.parent)
     cluster.objects[pods] = []
     cluster.objects[applications][0]["spec"]["source"]["targetRevision"] = app.digest
-    found = report(cluster, ClusterFolders("demo"), wanted, LOCK)
-    assert found.lines == ("nothing would be stranded (1 charts, 1 images, 2 of the platform listed)",)
+    stranded = report(cluster, ClusterFolders("demo"), wanted, LOCK)
+    assert stranded.lines == ("nothing would be stranded (1 charts, 1 images, 2 of the platform listed)",)
 
 
 def test_a_dry_run_that_cannot_ask_says_so(tmp_path: Path) -> None:

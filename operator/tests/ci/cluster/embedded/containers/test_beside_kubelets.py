@@ -50,9 +50,9 @@ def test_the_kubelets_link_is_named_as_kubernetes_names_it() -> None:
 
 def test_a_container_in_another_namespace_of_the_runtime_is_nobodys_at_once() -> None:
     other = replace(WEB, runtime_namespace="default")
-    [found] = unknown(with_containers(BOX, WEB, other))
-    assert (found.container, found.certain) == (other, True)
-    assert "containerd's namespace default is not k8s.io" in found.why
+    [stranger] = unknown(with_containers(BOX, WEB, other))
+    assert (stranger.container, stranger.certain) == (other, True)
+    assert "containerd's namespace default is not k8s.io" in stranger.why
 
 
 @pytest.mark.parametrize(

@@ -40,13 +40,13 @@ FOREIGN = Container("default", "miner", program="/bin/miner")
 def folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ClusterFolders:
     """A cluster's certificates."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    found = ClusterFolders("containers")
-    authority = Authority(found.pki)
+    cluster_folders = ClusterFolders("containers")
+    authority = Authority(cluster_folders.pki)
     authority.create()
     for identity in control_plane_identities(plan_of("test")):
         if identity.name in ("admin", "apiserver"):
             authority.issue(identity)
-    return found
+    return cluster_folders
 
 
 @pytest.fixture

@@ -36,11 +36,11 @@ following.main()
 @pytest.fixture(scope="module")
 def node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LoneNode]:
     """A node whose kubelet runs the pod `web`."""
-    with lone_node(probe_image.build(tmp_path_factory.mktemp("images") / "lock")) as found:
-        found.start_kubelet()
-        found.run_pod("web", {"containers": [{"name": "web", "image": found.reference("probe")}]})
-        until(lambda: web(found), "its container is known", 60)
-        yield found
+    with lone_node(probe_image.build(tmp_path_factory.mktemp("images") / "lock")) as running:
+        running.start_kubelet()
+        running.run_pod("web", {"containers": [{"name": "web", "image": running.reference("probe")}]})
+        until(lambda: web(running), "its container is known", 60)
+        yield running
 
 
 @pytest.fixture

@@ -207,9 +207,9 @@ def test_the_report_is_kept_when_it_says_something_else_and_now_and_then(cluster
 @pytest.fixture
 def folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ClusterFolders:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    found = ClusterFolders(CLUSTER)
-    found.processes.mkdir(parents=True)
-    return found
+    cluster_folders = ClusterFolders(CLUSTER)
+    cluster_folders.processes.mkdir(parents=True)
+    return cluster_folders
 
 
 def record(folders: ClusterFolders, name: str, alive: bool = True) -> None:

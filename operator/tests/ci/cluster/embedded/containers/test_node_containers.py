@@ -72,8 +72,8 @@ def test_what_a_kubelet_runs_is_known(node: Path) -> None:
 @pytest.mark.parametrize("document", [None, {}, {"process": None}, {"process": {"args": ["/bin/sh"]}}, [], "text"])
 def test_whatever_else_runs_is_not(node: Path, place: Path, document: object | None) -> None:
     run(node, place, "foreign", document)
-    [found] = unknown(NodeContainers(node).read())
-    assert found.container.key == f"{place.name}/foreign"
+    [stranger] = unknown(NodeContainers(node).read())
+    assert stranger.container.key == f"{place.name}/foreign"
 
 
 def test_what_ends_is_gone(node: Path) -> None:
@@ -129,8 +129,8 @@ def test_another_container_of_the_same_id_is_seen_to_be_another(node: Path) -> N
     [before] = (node / LINKS).iterdir()
     while file.stat().st_ctime_ns <= before.lstat().st_ctime_ns:  # the clock of files ticks in milliseconds
         file.touch()
-    [found] = unknown(reader.read())
-    assert found.container.program == "/other"
+    [stranger] = unknown(reader.read())
+    assert stranger.container.program == "/other"
 
 
 def test_a_node_that_cannot_be_read_is_said_to_be(node: Path) -> None:

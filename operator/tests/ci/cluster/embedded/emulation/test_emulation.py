@@ -55,12 +55,12 @@ def emulation(made: tuple[EmulatedCables, NetworkEmulation]) -> NetworkEmulation
 
 def state(cables: EmulatedCables) -> list[str]:
     """Everything of the network that an emulation may change."""
-    found = []
+    lines = []
     for place in ("host", AGENT):
-        found += [line.split(" state ")[0] for line in cables.said(place, "ip", "-d", "-o", "link").splitlines()]
-        found += [cables.said(place, "tc", "qdisc"), cables.said(place, "nft", "list", "tables")]
-        found += [word for word in cables.said(place, "bridge", "link").split() if word in ("master", "rk")]
-    return found
+        lines += [line.split(" state ")[0] for line in cables.said(place, "ip", "-d", "-o", "link").splitlines()]
+        lines += [cables.said(place, "tc", "qdisc"), cables.said(place, "nft", "list", "tables")]
+        lines += [word for word in cables.said(place, "bridge", "link").split() if word in ("master", "rk")]
+    return lines
 
 
 def crossing(cables: EmulatedCables, length: int = LENGTH) -> tuple[bytes, int]:

@@ -80,9 +80,9 @@ class Cluster:
 
 @pytest.fixture
 def cluster() -> Cluster:
-    found = Cluster()
-    found.step()
-    return found
+    made = Cluster()
+    made.step()
+    return made
 
 
 def test_a_pod_that_everybody_knows_has_rules(cluster: Cluster) -> None:
@@ -191,8 +191,8 @@ def test_a_process_that_starts_again_writes_everything_anew(cluster: Cluster) ->
 def test_a_policy_that_is_not_understood_denies_everything_and_is_named() -> None:
     complaints: set[str] = set()
     odd = {**DENY, "spec": {"podSelector": {}, "ingress": [{"from": [{"cosmicSelector": {}}]}]}}
-    found = policy(odd, complaints)
-    assert (found.namespace, found.pods, found.ingress, found.egress) == ("shop", (), (), ())
+    odd_policy = policy(odd, complaints)
+    assert (odd_policy.namespace, odd_policy.pods, odd_policy.ingress, odd_policy.egress) == ("shop", (), (), ())
     assert len(complaints) == 1
     assert "shop/deny" in complaints.pop()
 
@@ -277,9 +277,9 @@ class Late(threading.Event):
     """Set between the end of a wait and what comes after it."""
 
     def wait(self, timeout: float | None = None) -> bool:
-        found = super().wait(0)
+        changed = super().wait(0)
         self.set()
-        return found
+        return changed
 
 
 def test_a_change_right_after_a_wait_is_for_the_next_one() -> None:

@@ -134,10 +134,10 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
         headers = {"Authorization": f"Bearer {process.token}"}
         base = f"https://127.0.0.1:{process.port}"
         with httpx.Client(base_url=base, headers=headers, verify=False, timeout=10) as client:  # noqa: S501
-            found = Server(process, client)
-            found.make(NAMESPACES, "shop")
-            found.pods = {pod.peer.name: found.pod(pod.peer.name) for pod in (WEB, STORE, FAR)}
-            yield found
+            started = Server(process, client)
+            started.make(NAMESPACES, "shop")
+            started.pods = {pod.peer.name: started.pod(pod.peer.name) for pod in (WEB, STORE, FAR)}
+            yield started
     finally:
         process.stop()
 
@@ -148,20 +148,20 @@ def enforced(server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     programs.folder()  # before the cache is another
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     folders, nodes = ClusterFolders("demo"), RealNodes(PODS)
-    found = Enforced(server, nodes, folders)
+    stage = Enforced(server, nodes, folders)
     try:
         nodes.start()
         for node in nodes.nodes:
             enforcement.close(nodes.holder(node))
             record(folders, nodes.holder(node))
         for pod in (WEB, STORE, FAR):
-            found.attach(pod, server.pods[pod.peer.name])
+            stage.attach(pod, server.pods[pod.peer.name])
         folders.kubeconfig.write_text(server.process.kubeconfig.read_text(encoding="utf-8"), encoding="utf-8")
-        found.start()
-        until(lambda: all(found.known(pod) for pod in (WEB, STORE, FAR)), "the pods have rules")
-        yield found
+        stage.start()
+        until(lambda: all(stage.known(pod) for pod in (WEB, STORE, FAR)), "the pods have rules")
+        yield stage
     finally:
-        found.stop()
+        stage.stop()
         nodes.close()
         server.delete("/apis/networking.k8s.io/v1/namespaces/shop/networkpolicies")
 

@@ -36,8 +36,8 @@ def test_every_pair_at_every_port_as_the_policies_say(policies: list[NetworkPoli
             continue
         for protocol, port in PORTS:
             wanted = may_connect(policies, source.peer, target.peer, protocol, port)
-            found = made.passes(source, target, protocol, port)
-            assert found == wanted.allowed, f"{source.peer} to {target.peer} at {protocol} {port}: {wanted.reason}"
+            passes = made.passes(source, target, protocol, port)
+            assert passes == wanted.allowed, f"{source.peer} to {target.peer} at {protocol} {port}: {wanted.reason}"
 
 
 @given(POLICIES)

@@ -183,8 +183,8 @@ def test_behind_a_service_the_pod_itself_is_judged(nodes: RealNodes, backend: Pl
     service(nodes, backend)
     for source in PODS:
         wanted = may_connect(POLICIES, source.peer, backend.peer, *HTTP)
-        found = nodes.reaches(key(source), key(backend), SERVICE, ("TCP", 80), served=8080)
-        assert found == wanted.allowed, f"{key(source)}: {wanted.reason}"
+        reached = nodes.reaches(key(source), key(backend), SERVICE, ("TCP", 80), served=8080)
+        assert reached == wanted.allowed, f"{key(source)}: {wanted.reason}"
 
 
 def test_a_machine_that_asks_a_service_is_judged_by_its_own_address_on_the_node_that_translates(
@@ -296,12 +296,12 @@ def test_a_group_is_heard_by_those_whose_policies_let_the_sender_in(nodes: RealN
 
 def listening(nodes: RealNodes, pod: PlacedPod) -> socket.socket:
     def made() -> socket.socket:
-        found = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        found.bind((GROUP, DDS))
+        bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        bound.bind((GROUP, DDS))
         member = struct.pack("4s4s", socket.inet_aton(GROUP), socket.inet_aton(pod.peer.address))
-        found.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
-        found.setblocking(False)
-        return found
+        bound.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
+        bound.setblocking(False)
+        return bound
 
     return nodes.open(key(pod), made)
 

@@ -38,9 +38,9 @@ def test_the_file_is_where_containerd_looks_and_only_root_reads_it(tmp_path: Pat
 
 def test_a_registry_that_speaks_tls_is_verified_by_the_authorities_beside_the_file(tmp_path: Path) -> None:
     path = pulling.allow(tmp_path, "https://10.97.0.9:3000", PULL_ACCOUNT, "first", "PEM")
-    found = tomllib.loads(path.read_text())["host"]["https://10.97.0.9:3000"]
-    assert (path.parent / found["ca"]).read_text() == "PEM"
-    assert found["header"]["Authorization"][0].startswith("Basic ")
+    host = tomllib.loads(path.read_text())["host"]["https://10.97.0.9:3000"]
+    assert (path.parent / host["ca"]).read_text() == "PEM"
+    assert host["header"]["Authorization"][0].startswith("Basic ")
 
 
 @pytest.fixture
