@@ -78,7 +78,7 @@ class BenchmarkStage:
 
 
 @pytest.fixture
-def world(published: Mapping[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> BenchmarkStage:
+def stage(published: Mapping[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> BenchmarkStage:
     made = BenchmarkStage(published)
 
     class Embedded:
@@ -108,11 +108,11 @@ def test_the_first_publication_has_its_goal_and_a_slow_machine_more() -> None:
     assert not comparison(Costs(3, 490.0, 20.0, {})).passed
 
 
-def test_it_is_measured_on_a_cluster_of_its_own_and_recorded(world: BenchmarkStage) -> None:
+def test_it_is_measured_on_a_cluster_of_its_own_and_recorded(stage: BenchmarkStage) -> None:
     [difference] = compare()
     assert (difference.name, difference.ours, difference.unit) == ("publish 2 charts, every suite run", 90.0, "s")
-    assert world.done == ["up test {'vehicles': '3'} platform", *["publish by kubeconfig"] * 3, "down test"]
-    [kept] = set(world.kept)
+    assert stage.done == ["up test {'vehicles': '3'} platform", *["publish by kubeconfig"] * 3, "down test"]
+    [kept] = set(stage.kept)
     assert kept is not None
     assert not kept.exists()
     recorded = json.loads(catalogue.RECORD.read_text())
@@ -123,26 +123,26 @@ def test_it_is_measured_on_a_cluster_of_its_own_and_recorded(world: BenchmarkSta
 
 @pytest.mark.parametrize("name", ["demo", "test"])
 def test_a_cluster_that_runs_is_stopped_and_that_is_said(
-    world: BenchmarkStage, name: str, capsys: pytest.CaptureFixture[str]
+    stage: BenchmarkStage, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    world.running.add(name)
+    stage.running.add(name)
     compare()
-    assert world.done[0] == f"down {name}"
+    assert stage.done[0] == f"down {name}"
     assert f"stopping the cluster {name}" in capsys.readouterr().err
-    assert world.running == set()
+    assert stage.running == set()
 
 
-def test_a_refused_publication_leaves_no_cluster_and_no_figures(world: BenchmarkStage) -> None:
-    world.refusal = "the gate refused to publish"
+def test_a_refused_publication_leaves_no_cluster_and_no_figures(stage: BenchmarkStage) -> None:
+    stage.refusal = "the gate refused to publish"
     with pytest.raises(SetUpError, match="the gate refused"):
         compare()
-    assert world.done[-1] == "down test"
+    assert stage.done[-1] == "down test"
     assert not catalogue.RECORD.exists()
 
 
-def test_a_repetition_that_publishes_is_no_baseline(world: BenchmarkStage) -> None:
-    world.verdict = PUBLISHED
+def test_a_repetition_that_publishes_is_no_baseline(stage: BenchmarkStage) -> None:
+    stage.verdict = PUBLISHED
     with pytest.raises(SetUpError, match="publishing the same again gave published, published, published"):
         compare()
-    assert world.running == set()
+    assert stage.running == set()
     assert not catalogue.RECORD.exists()

@@ -117,8 +117,8 @@ class BootstrapStage:
 
 
 @pytest.fixture(scope="module")
-def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BootstrapStage]:
-    folder = tmp_path_factory.mktemp("world")
+def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BootstrapStage]:
+    folder = tmp_path_factory.mktemp("bootstrap")
     (folder / "api").mkdir()
     forge, api = ForgeProcess(folder / "forge"), ApiServerProcess(folder / "api")
     database = DatabaseServer(folder / "database", issued=throw_away(ADDRESS), name=ADDRESS)
@@ -134,7 +134,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BootstrapStage]:
         database.close()
 
 
-def bootstrap_settings(world: BootstrapStage, folder: Path, passwords: dict[str, str]) -> dict[str, Any]:
+def bootstrap_settings(stage: BootstrapStage, folder: Path, passwords: dict[str, str]) -> dict[str, Any]:
     def account(name: str, username: str = "") -> dict[str, str]:
         return {"name": name, "credentials": account_folder(folder, name, username or name, passwords[name])}
 
@@ -146,9 +146,9 @@ def bootstrap_settings(world: BootstrapStage, folder: Path, passwords: dict[str,
         "log_level": "info",
         "wait_seconds": 60,
         "forge": {
-            "url": world.forge.url,
+            "url": stage.forge.url,
             "administrator": account_folder(
-                folder, "administrator", world.forge.administrator, world.forge.administrator_password
+                folder, "administrator", stage.forge.administrator, stage.forge.administrator_password
             ),
             "accounts": [account(name) for name in ("manager", "gate", "argocd", "publisher", "operator-team")],
             "organisations": [
@@ -185,8 +185,8 @@ def bootstrap_settings(world: BootstrapStage, folder: Path, passwords: dict[str,
         "database": {
             "kind": "ferretdb",
             "host": ADDRESS,
-            "port": world.database.port,
-            "authorities": str(world.database.folder / "ca.crt"),
+            "port": stage.database.port,
+            "authorities": str(stage.database.folder / "ca.crt"),
             "administrator": account_folder(folder, "database-administrator", SETUP_USER, SETUP_PASSWORD),
             "accounts": [
                 {
@@ -208,9 +208,9 @@ def bootstrap_settings(world: BootstrapStage, folder: Path, passwords: dict[str,
     }
 
 
-def run_bootstrap(world: BootstrapStage, folder: Path, settings: dict[str, Any]) -> tuple[int, list[dict[str, Any]]]:
+def run_bootstrap(stage: BootstrapStage, folder: Path, settings: dict[str, Any]) -> tuple[int, list[dict[str, Any]]]:
     environment = write_settings(folder, settings)
-    environment |= {"KUBECONFIG": str(world.kubeconfig), "PYTHONWARNINGS": "ignore"}
+    environment |= {"KUBECONFIG": str(stage.kubeconfig), "PYTHONWARNINGS": "ignore"}
     command = [sys.executable, "-m", "robotkube.setup.bootstrap"]
     done = subprocess.run(
         command, env=environment, capture_output=True, text=True, timeout=PROCESS_SECONDS_MAX, check=False
@@ -228,21 +228,21 @@ NAMES = (
 )
 
 
-def test_the_bootstrap_process_makes_everything_once(world: BootstrapStage, tmp_path: Path) -> None:
+def test_the_bootstrap_process_makes_everything_once(stage: BootstrapStage, tmp_path: Path) -> None:
     passwords = {name: f"password of {name}" for name in NAMES}
-    settings = bootstrap_settings(world, tmp_path, passwords)
-    code, first = run_bootstrap(world, tmp_path, settings)
+    settings = bootstrap_settings(stage, tmp_path, passwords)
+    code, first = run_bootstrap(stage, tmp_path, settings)
     assert code == 0, first
     assert "seed of robotkube/deployment" in changed(first)
-    argocd_is_wired(world, passwords)
-    recorders_reach_their_own_database_only(world, passwords)
-    account = http_calls.get(f"{world.forge.url}/api/v1/user", auth=("gate", passwords["gate"]))
+    argocd_is_wired(stage, passwords)
+    recorders_reach_their_own_database_only(stage, passwords)
+    account = http_calls.get(f"{stage.forge.url}/api/v1/user", auth=("gate", passwords["gate"]))
     assert account.status_code == 200
-    code, second = run_bootstrap(world, tmp_path, settings)
+    code, second = run_bootstrap(stage, tmp_path, settings)
     assert code == 0
     assert changed(second) == []
     rotated = passwords | {"recordings_cloud_0": "other", "argocd-manager": "other", "hook": "other"}
-    code, third = run_bootstrap(world, tmp_path, bootstrap_settings(world, tmp_path, rotated))
+    code, third = run_bootstrap(stage, tmp_path, bootstrap_settings(stage, tmp_path, rotated))
     assert code == 0
     assert changed(third) == [
         "database account recordings_cloud_0",
@@ -251,12 +251,12 @@ def test_the_bootstrap_process_makes_everything_once(world: BootstrapStage, tmp_
         "deployment argocd-server",
         "deployment argocd-applicationset-controller",
     ]
-    argocd_is_wired(world, rotated)
-    recorders_reach_their_own_database_only(world, rotated)
+    argocd_is_wired(stage, rotated)
+    recorders_reach_their_own_database_only(stage, rotated)
 
 
-def argocd_is_wired(world: BootstrapStage, passwords: dict[str, str]) -> None:
-    api = connect(world.api)
+def argocd_is_wired(stage: BootstrapStage, passwords: dict[str, str]) -> None:
+    api = connect(stage.api)
     core = client.CoreV1Api(api)
     settings = core.read_namespaced_config_map("argocd-cm", NAMESPACE).data
     assert settings == {"url": "http://x", "accounts.manager": "login"}
@@ -277,23 +277,23 @@ def decoded(value: str) -> str:
     return base64.b64decode(value).decode()
 
 
-def recorders_reach_their_own_database_only(world: BootstrapStage, passwords: dict[str, str]) -> None:
+def recorders_reach_their_own_database_only(stage: BootstrapStage, passwords: dict[str, str]) -> None:
     own, other = "recordings_cloud_0", "recordings_edge_0"
-    recorder = world.database.client(own, passwords[own], own)
+    recorder = stage.database.client(own, passwords[own], own)
     recorder[own]["samples"].insert_one({"x": 1})
     for database in (other, "admin"):
         with pytest.raises(OperationFailure):
             recorder[database]["samples"].insert_one({"x": 1})
 
 
-def test_the_bootstrap_says_what_is_wrong(world: BootstrapStage, tmp_path: Path) -> None:
-    settings = bootstrap_settings(world, tmp_path, dict.fromkeys(NAMES, "word"))
+def test_the_bootstrap_says_what_is_wrong(stage: BootstrapStage, tmp_path: Path) -> None:
+    settings = bootstrap_settings(stage, tmp_path, dict.fromkeys(NAMES, "word"))
     settings["database"]["kind"] = "oracle"
     settings["forge"]["repositories"][0]["seed"] = str(tmp_path / "nowhere")
     settings["forge"]["repositories"][0]["access"]["manager"] = "admin"
     settings["forge"]["organisations"][0]["packages"] = {"manager": "pulls"}
     settings["wait_seconds"] = 0
-    code, said = run_bootstrap(world, tmp_path, settings)
+    code, said = run_bootstrap(stage, tmp_path, settings)
     assert code == 2
     text = said[-1]["error"]
     access = ("access.manager: must be pulls, read or write", "packages.manager: must be read or write")
@@ -302,11 +302,11 @@ def test_the_bootstrap_says_what_is_wrong(world: BootstrapStage, tmp_path: Path)
     assert "wait_seconds: must be a whole number" in text
 
 
-def test_the_bootstrap_ends_when_argocd_never_comes(world: BootstrapStage, tmp_path: Path) -> None:
-    settings = bootstrap_settings(world, tmp_path, dict.fromkeys(NAMES, "word"))
+def test_the_bootstrap_ends_when_argocd_never_comes(stage: BootstrapStage, tmp_path: Path) -> None:
+    settings = bootstrap_settings(stage, tmp_path, dict.fromkeys(NAMES, "word"))
     del settings["forge"], settings["database"]
     settings["argocd"]["namespace"] = "elsewhere"
     settings["wait_seconds"] = 2
-    code, said = run_bootstrap(world, tmp_path, settings)
+    code, said = run_bootstrap(stage, tmp_path, settings)
     assert code in (2, 3)
     assert "Secret argocd-secret in namespace elsewhere" in said[-1]["error"]

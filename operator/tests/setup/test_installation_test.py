@@ -33,7 +33,7 @@ def conditions(reached: int, reason: str = "Progressing", message: str = "m", st
 READY = conditions(4)
 
 
-class World:
+class Stage:
     """A task, a database, and seconds that only sleeping moves: the first message comes after `after` of them, and the
     end of the recording `ends` after the withdrawal."""
 
@@ -84,14 +84,14 @@ class World:
 
 
 def test_records_one_event_and_withdraws_it() -> None:
-    world = World()
-    assert world.tried() == InstallationResult(5.0, 2.0)
-    assert (world.asked, world.withdrawn_at) == (True, 5.0)
+    stage = Stage()
+    assert stage.tried() == InstallationResult(5.0, 2.0)
+    assert (stage.asked, stage.withdrawn_at) == (True, 5.0)
 
 
 def test_a_passing_fault_is_tried_again() -> None:
-    world = World(faults=[None, UnavailableError("the database is away")])
-    assert world.tried().problem == ""
+    stage = Stage(faults=[None, UnavailableError("the database is away")])
+    assert stage.tried().problem == ""
 
 
 @pytest.mark.parametrize(
@@ -112,64 +112,64 @@ def test_a_passing_fault_is_tried_again() -> None:
     ],
 )
 def test_what_hangs_is_named(task: Mapping[str, Any], words: str) -> None:
-    world = World(task, after=1000)
-    assert words in world.tried().problem
-    assert RECORD_SECONDS_MAX <= world.seconds < RECORD_SECONDS_MAX + 2
-    assert world.withdrawn_at is not None
+    stage = Stage(task, after=1000)
+    assert words in stage.tried().problem
+    assert RECORD_SECONDS_MAX <= stage.seconds < RECORD_SECONDS_MAX + 2
+    assert stage.withdrawn_at is not None
 
 
 def test_a_refusal_ends_the_test_at_once() -> None:
-    world = World(conditions(0, "UnknownApplication", "the catalogue has no pose-point-cloud-recording"))
-    problem = world.tried().problem
+    stage = Stage(conditions(0, "UnknownApplication", "the catalogue has no pose-point-cloud-recording"))
+    problem = stage.tried().problem
     assert problem == (
         "the manager refuses the task (UnknownApplication): the catalogue has no pose-point-cloud-recording"
     )
-    assert world.seconds < 2
-    assert world.withdrawn_at is not None
+    assert stage.seconds < 2
+    assert stage.withdrawn_at is not None
 
 
 @pytest.mark.parametrize("error", [InputError("403: may not create taskdescriptions"), UnavailableError("no answer")])
 def test_a_task_that_cannot_be_made(error: Exception) -> None:
-    world = World()
-    world.refused = error
-    assert world.tried().problem == str(error)
+    stage = Stage()
+    stage.refused = error
+    assert stage.tried().problem == str(error)
 
 
 def test_a_database_that_is_away_is_said_before_anything_is_asked_for() -> None:
-    world = World(faults=[UnavailableError("database, reading recording x: no answer")])
-    assert world.tried().problem == "database, reading recording x: no answer"
-    assert not world.asked
+    stage = Stage(faults=[UnavailableError("database, reading recording x: no answer")])
+    assert stage.tried().problem == "database, reading recording x: no answer"
+    assert not stage.asked
 
 
 def test_a_recording_without_an_end() -> None:
-    world = World(ends=1000)
-    problem = world.tried().problem
+    stage = Stage(ends=1000)
+    problem = stage.tried().problem
     assert problem == (
         "18 s after it was withdrawn, the recording of cloud-0/installation-test-1 has no end in the database; "
         "see the recorder's log"
     )
-    assert world.seconds <= 5 + END_SECONDS_MAX + 1
+    assert stage.seconds <= 5 + END_SECONDS_MAX + 1
 
 
 def test_a_task_that_stays() -> None:
-    world = World()
-    world.stays = True
-    assert "task cloud-0/installation-test-1 is still there; robotkube task withdraw" in world.tried().problem
+    stage = Stage()
+    stage.stays = True
+    assert "task cloud-0/installation-test-1 is still there; robotkube task withdraw" in stage.tried().problem
 
 
 def test_a_test_that_is_ended_withdraws_its_task() -> None:
-    world = World()
-    world.going_on = False
-    assert "the test was ended from outside" in world.tried().problem
-    assert world.withdrawn_at is not None
+    stage = Stage()
+    stage.going_on = False
+    assert "the test was ended from outside" in stage.tried().problem
+    assert stage.withdrawn_at is not None
 
 
 def test_a_test_that_crashes_withdraws_its_task() -> None:
-    world = World()
-    world.messages = lambda: 1 / 0  # type: ignore[method-assign,assignment]
+    stage = Stage()
+    stage.messages = lambda: 1 / 0  # type: ignore[method-assign,assignment]
     with pytest.raises(ZeroDivisionError):
-        world.tried()
-    assert world.withdrawn_at is not None
+        stage.tried()
+    assert stage.withdrawn_at is not None
 
 
 def test_all_bounds_together_are_less_than_the_jobs_minute() -> None:

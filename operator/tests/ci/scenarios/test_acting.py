@@ -76,26 +76,26 @@ class ActingStage:
 
 
 @pytest.fixture
-def world() -> ActingStage:
+def stage() -> ActingStage:
     return ActingStage()
 
 
 @pytest.fixture
-def actor(world: ActingStage) -> acting.Actor:
+def actor(stage: ActingStage) -> acting.Actor:
     return acting.Actor(
-        world,  # type: ignore[arg-type]
-        world,
-        releases=lambda: world.releases,
+        stage,  # type: ignore[arg-type]
+        stage,
+        releases=lambda: stage.releases,
         progress=lambda _: None,
-        before_kill=lambda: world.doings.append("note"),
+        before_kill=lambda: stage.doings.append("note"),
     )
 
 
 SUBMIT = {"namespace": "cloud-0", "name": "a", "application": "object-detection", "parameters": {"sensor": "x"}}
 
 
-def test_steps_are_done_in_their_order_and_noted(actor: acting.Actor, world: ActingStage) -> None:
-    world.releases, world.running = {"edge-0/r": {}}, {"edge-0-r": APPLICATION}
+def test_steps_are_done_in_their_order_and_noted(actor: acting.Actor, stage: ActingStage) -> None:
+    stage.releases, stage.running = {"edge-0/r": {}}, {"edge-0-r": APPLICATION}
     actor.perform(
         read_steps(
             [
@@ -108,7 +108,7 @@ def test_steps_are_done_in_their_order_and_noted(actor: acting.Actor, world: Act
             ]
         )
     )
-    assert world.doings == [
+    assert stage.doings == [
         "create cloud-0/a",
         "note",
         "kill manager",
@@ -132,21 +132,21 @@ def bridge(ready: str) -> client.V1Pod:
     return client.V1Pod(metadata=metadata, status=client.V1PodStatus(phase="Running", conditions=conditions))
 
 
-def test_messages_count_where_they_are_heard(actor: acting.Actor, world: ActingStage) -> None:
+def test_messages_count_where_they_are_heard(actor: acting.Actor, stage: ActingStage) -> None:
     """In the agent's bridge, which every agent has that hears of others, once it is ready."""
     [step] = read_steps([{"name": "hears", "until": [{**HEARD, "at_least": 2}]}])
     [state] = step.until
     assert str(state) == "2 messages of /vehicles/roadside_0/objects heard on vehicle-00"
     for there, messages, holds in (("", 2, False), ("False", 2, False), ("True", 1, False), ("True", 2, True)):
-        world.bridge = bridge(there) if there else None
-        world.heard = [base64.b64encode(b"message").decode()] * messages
+        stage.bridge = bridge(there) if there else None
+        stage.heard = [base64.b64encode(b"message").decode()] * messages
         assert actor._holds(state) is holds
     listened = "vehicle-00/mqtt-bridge-x /vehicles/roadside_0/objects geometry_msgs/msg/PoseArray 2"
-    assert world.doings == [f"listen {listened}"] * 2
-    assert [bytes(one) for one in listening.messages("\n".join(world.heard))] == [b"message"] * 2
+    assert stage.doings == [f"listen {listened}"] * 2
+    assert [bytes(one) for one in listening.messages("\n".join(stage.heard))] == [b"message"] * 2
 
 
-def test_what_is_not_seen_ends_the_story_and_is_taken_back(actor: acting.Actor, world: ActingStage) -> None:
+def test_what_is_not_seen_ends_the_story_and_is_taken_back(actor: acting.Actor, stage: ActingStage) -> None:
     steps = [
         {"name": "submit", "do": {"submit": SUBMIT}},
         {"name": "stop", "do": {"stop": "edge-0"}},
@@ -155,7 +155,7 @@ def test_what_is_not_seen_ends_the_story_and_is_taken_back(actor: acting.Actor, 
     ]
     with pytest.raises(RunError, match=r"step 'never': task cloud-0/a: Accepted=any Postponed"):
         actor.perform(replaced_bound(steps))
-    assert world.doings == ["create cloud-0/a", "stop edge-0", "start edge-0", "delete cloud-0/a"]
+    assert stage.doings == ["create cloud-0/a", "stop edge-0", "start edge-0", "delete cloud-0/a"]
     assert [step.done is not None for step in actor.done] == [True, True, False]
 
 
@@ -177,9 +177,9 @@ def replaced_bound(steps: list[dict[str, Any]]) -> tuple[Any, ...]:
     ],
 )
 def test_a_release_is_looked_for_on_main_and_in_the_cluster(
-    actor: acting.Actor, world: ActingStage, state: str, releases: Any, running: Any, holds: bool
+    actor: acting.Actor, stage: ActingStage, state: str, releases: Any, running: Any, holds: bool
 ) -> None:
-    world.releases, world.running = releases, running
+    stage.releases, stage.running = releases, running
     steps = replaced_bound([{"name": "look", "until": [{"release": "a/b", "is": state}]}])
     if holds:
         actor.perform(steps)

@@ -46,7 +46,7 @@ SECOND = 1_000_000_000
 
 
 def template(folder: Path) -> Stage:
-    """One world for all histories: the initial configuration runs, and the cloud's node has room for ROOM recorders."""
+    """One stage for all histories: the initial configuration runs, and the cloud's node has room for ROOM recorders."""
     stage = Stage(folder, VEHICLES)
     stage.settle()
     always = sum(release.namespace == "cloud-0" for release in stage.releases().values())
@@ -112,8 +112,8 @@ class Histories(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self.world = HistoryStage()
-        self.world.forge.decide = self.decide
+        self.stage = HistoryStage()
+        self.stage.forge.decide = self.decide
         self.model: dict[str, Entry] = {}
         self.away: dict[str, NodeState] = {}
         self.gate_away = False
@@ -129,66 +129,66 @@ class Histories(RuleBasedStateMachine):
     def create(self, name: str, pair: Any, priority: int, policy: str, lease: int | None, refused: bool) -> None:
         extra: dict[str, Any] = {"lease": {"seconds": lease}} if lease else {}
         extra |= {"queue": {"secondsMax": 20}} if policy == "Postpone" else {}
-        event = {"rule": "near", "id": f"event-{name}", "trace": "a" * 32, "time": moment(self.world.now_ns)}
+        event = {"rule": "near", "id": f"event-{name}", "trace": "a" * 32, "time": moment(self.stage.now_ns)}
         spec: dict[str, Any] = {"requester": "someone", "event": event}
         spec |= {"application": "pose-point-cloud-recording"}
         spec |= {"parameters": {"vehicles": pair}, "priority": priority, "conflictPolicy": policy, **extra}
-        self.world.tasks.create("cloud-0", name, spec, moment(self.world.now_ns))
-        self.model[f"cloud-0/{name}"] = Entry(pair, priority, policy, lease, self.world.now_ns // SECOND, refused)
+        self.stage.tasks.create("cloud-0", name, spec, moment(self.stage.now_ns))
+        self.model[f"cloud-0/{name}"] = Entry(pair, priority, policy, lease, self.stage.now_ns // SECOND, refused)
 
     @precondition(lambda self: self.model)
     @rule(data=st.data(), what=st.sampled_from(["change", "renew", "delete", "delete"]), pair=st.sampled_from(PAIRS))
     def a_task_changes(self, data: st.DataObject, what: str, pair: list[str]) -> None:
         key = data.draw(st.sampled_from(sorted(self.model)))
         if what == "delete":
-            self.world.tasks.delete(key)
+            self.stage.tasks.delete(key)
             del self.model[key]
         elif what == "renew":
-            self.world.tasks.annotate(key, RENEWED_ANNOTATION, moment(self.world.now_ns))
-            self.model[key].begun = self.world.now_ns // SECOND
+            self.stage.tasks.annotate(key, RENEWED_ANNOTATION, moment(self.stage.now_ns))
+            self.model[key].begun = self.stage.now_ns // SECOND
         else:
-            self.world.tasks.change(key, parameters={"vehicles": pair})
+            self.stage.tasks.change(key, parameters={"vehicles": pair})
             self.model[key] = replace(self.model[key], pair=pair, refused_by_gate=False, in_trouble=False)
 
     @rule(seconds=st.sampled_from([1, 7, 25]))
     def time_passes(self, seconds: int) -> None:
-        self.world.seconds += seconds
+        self.stage.seconds += seconds
 
     @rule(name=st.sampled_from(["cloud-0", "vehicle-00", "vehicle-02"]))
     def a_node_goes_or_comes_back(self, name: str) -> None:
-        machines = self.world.cluster.machines
+        machines = self.stage.cluster.machines
         if name in self.away:
             machines.append(self.away.pop(name))
         else:
             self.away[name] = next(node for node in machines if node.name == name)
             machines.remove(self.away[name])
-        self.world.manager.wake(NODES)
+        self.stage.manager.wake(NODES)
 
     @rule(what=st.sampled_from(["manager", "gate", "gate", "removal", "other file"]), which=st.integers(0, 20))
     def somebody_intervenes(self, what: str, which: int) -> None:
         """The manager starts anew; the gate goes or comes back; a person removes a release, or writes another file."""
-        world, paths = self.world, sorted(self.world.releases())
+        stage, paths = self.stage, sorted(self.stage.releases())
         if what == "manager":
-            world.manager = world.start()
+            stage.manager = stage.start()
         elif what == "gate":
             self.gate_goes_or_comes_back()
         elif what == "removal" and paths:
-            world.repository.push({paths[which % len(paths)]: None})
-            world.manager.wake(DEPLOYMENT)
+            stage.repository.push({paths[which % len(paths)]: None})
+            stage.manager.wake(DEPLOYMENT)
         else:
-            world.repository.push({"README.md": str(world.seconds)})
-            world.manager.wake(DEPLOYMENT)
+            stage.repository.push({"README.md": str(stage.seconds)})
+            stage.manager.wake(DEPLOYMENT)
 
     def gate_goes_or_comes_back(self) -> None:
         self.gate_away = not self.gate_away
         if not self.gate_away:
-            for pull in [p for p in self.world.forge.pulls.values() if p.state == "open"]:
+            for pull in [p for p in self.stage.forge.pulls.values() if p.state == "open"]:
                 self.decide(pull)
 
     @rule(steps=st.integers(1, 3))
     def manager_takes_some_steps(self, steps: int) -> None:
         self.note_trouble()
-        self.world.go(steps)
+        self.stage.go(steps)
 
     # -- what must hold -------------------------------------------------------------------------------------------
 
@@ -208,23 +208,23 @@ class Histories(RuleBasedStateMachine):
 
     def note_trouble(self) -> None:
         """Whoever stands while there are more demands than room, or while a node is missing, may meet a conflict."""
-        now = self.world.now_ns
+        now = self.stage.now_ns
         pairs = {tuple(entry.pair) for entry in self.model.values() if entry.stands(now)}
         for entry in self.model.values():
             entry.in_trouble |= len(pairs) > ROOM or bool({"cloud-0", *entry.pair} & set(self.away))
 
     def come_to_rest(self) -> None:
         """Turns until nothing happens any more, the last steps of each without time passing."""
-        world = self.world
+        stage = self.stage
         for _ in range(QUIET_TURNS_MAX):
-            before = world.repository.tip, len(world.forge.pulls)
-            world.go(3, wake=TASKS)
-            world.cluster.settle(world.releases())
-            world.go(1, wake=APPLICATIONS)
-            world.go(2, seconds=0.0)
+            before = stage.repository.tip, len(stage.forge.pulls)
+            stage.go(3, wake=TASKS)
+            stage.cluster.settle(stage.releases())
+            stage.go(1, wake=APPLICATIONS)
+            stage.go(2, seconds=0.0)
             # One that the gate has refused in this turn changes nothing on main, and has to be read still.
-            same = (world.repository.tip, len(world.forge.pulls)) == before
-            if same and not any(p.state == "open" for p in world.forge.pulls.values()):
+            same = (stage.repository.tip, len(stage.forge.pulls)) == before
+            if same and not any(p.state == "open" for p in stage.forge.pulls.values()):
                 break
         else:
             raise AssertionError(f"no rest after {QUIET_TURNS_MAX} turns")
@@ -232,7 +232,7 @@ class Histories(RuleBasedStateMachine):
 
     def decide(self, pull: PullRequest) -> None:
         """The gate: away, or against tasks that main does not answer yet and that the model says it refuses."""
-        repository, forge = self.world.repository, self.world.forge
+        repository, forge = self.stage.repository, self.stage.forge
         if self.gate_away:
             return
         before, after = (causes(repository.trees[commit]) for commit in (repository.tip, pull.head))
@@ -243,8 +243,8 @@ class Histories(RuleBasedStateMachine):
             forge.merge(pull)
 
     def check(self) -> None:
-        world = self.world
-        releases = world.releases()
+        stage = self.stage
+        releases = stage.releases()
         recorders = {r.key: r for r in releases.values() if r.name.startswith("recorder-")}
         assert len(recorders) <= ROOM
         for release in releases.values():
@@ -254,12 +254,12 @@ class Histories(RuleBasedStateMachine):
         self.check_initial(releases)
 
     def check_task(self, key: str, entry: Entry, releases: dict[str, Release]) -> None:
-        status = self.world.tasks.objects[key]["status"]
+        status = self.stage.tasks.objects[key]["status"]
         conditions = {c["type"]: c for c in status["conditions"]}
         accepted, reason = conditions["Accepted"]["status"], conditions["Accepted"]["reason"]
         mine = [r for r in releases.values() if key in {cause.task for cause in r.causes}]
         assert reason in REASONS["Accepted"]
-        if not entry.stands(self.world.now_ns):
+        if not entry.stands(self.stage.now_ns):
             assert (reason, mine) == ("LeaseExpired", [])
         elif accepted == "True" and conditions["Committed"]["status"] == "True":
             assert conditions["Ready"]["status"] == "True"

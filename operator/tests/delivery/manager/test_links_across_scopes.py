@@ -43,7 +43,7 @@ def scoped(stage: Stage, manager: DeclaredManager) -> Stage:
 
 
 class Neighbours:
-    """The managers of the south and the north, in one world; `asked` for a recording of vehicles of both."""
+    """The managers of the south and the north, on one stage; `asked` for a recording of vehicles of both."""
 
     def __init__(self, folder: Path) -> None:
         self.south = Stage(folder / "south")

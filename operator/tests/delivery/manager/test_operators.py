@@ -46,7 +46,7 @@ def with_agent(stage: Stage, name: str, role: str, *capabilities: str) -> Stage:
 
 
 def neighbour(stage: Stage, folder: Path, agents: tuple[str, ...]) -> Stage:
-    """Another manager in the same world."""
+    """Another manager on the same stage."""
     other = Stage(folder)
     other.settings, other.verifier, other.catalogue = stage.settings, stage.verifier, stage.catalogue
     other.cluster, other.repository, other.forge = stage.cluster, stage.repository, stage.forge

@@ -77,14 +77,14 @@ class RunningGateway:
 
     def __init__(self, api_server: ApiServerProcess, broker: pods.Broker) -> None:
         client = api_client(str(api_server.kubeconfig))
-        self.world = KubernetesCluster(client, "argocd", lambda what: None, time.time)
-        self.world.start()
-        assert self.world.wait_until_synced(20)
+        self.cluster = KubernetesCluster(client, "argocd", lambda what: None, time.time)
+        self.cluster.start()
+        assert self.cluster.wait_until_synced(20)
         account = BrokerAccount("127.0.0.1", broker.port, "manager", pods.password("manager"))
         channel = PahoGateway(account, "manager-gateway")
         writer = KubernetesTasks(functools.partial(call, client))
         operators = {"cloud-0": "cloud-0"}
-        self.loop = MqttTaskGateway(operators, channel, self.world, writer, self, time.time_ns, time.monotonic)
+        self.loop = MqttTaskGateway(operators, channel, self.cluster, writer, self, time.time_ns, time.monotonic)
         self.loop.start()
         until(lambda: not channel.complaint, "the gateway open")
 
@@ -96,7 +96,7 @@ class RunningGateway:
 
     def close(self) -> None:
         self.loop.stop(5.0)
-        self.world.stop()
+        self.cluster.stop()
 
 
 @pytest.fixture(scope="module")
@@ -155,7 +155,7 @@ def test_asking_changing_renewing_and_withdrawing(api: Api, operator: Operator, 
     assert present(api, "gateway-one")["metadata"]["generation"] == 2
     condition = {"type": "Accepted", "status": "True", "reason": "Accepted", "message": "yes"}
     status = {"conditions": [{**condition, "lastTransitionTime": "2026-11-21T10:00:00Z"}], "plan": "p-1"}
-    gateway.world.patch_status("cloud-0", "gateway-one", status)
+    gateway.cluster.patch_status("cloud-0", "gateway-one", status)
     until(lambda: any(answer.get("plan") == "p-1" for answer in operator.answers("gateway-one")), "the status answered")
     operator.say({"withdraw": "gateway-one"})
     until(lambda: {"id": "gateway-one", "conditions": [], "withdrawn": True} in operator.heard, "the end answered")

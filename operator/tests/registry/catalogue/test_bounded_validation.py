@@ -124,12 +124,12 @@ def test_a_process_that_went_is_started_again() -> None:
 
 
 def test_a_submission_whose_schema_takes_for_ever_is_refused(schemas: BoundedSchemas, tmp_path: Path) -> None:
-    world = PublicationStage(tmp_path)
-    world.tools = schemas.tools()
-    world.start()
+    stage = PublicationStage(tmp_path)
+    stage.tools = schemas.tools()
+    stage.start()
     path = "applications/relaying.yaml"
     document = read_mapping(application(), path)
     document["spec"]["parameters"] = {**document["spec"]["parameters"], **DOUBLING}
-    number = world.submit(**{path: write_mapping(document)})
-    assert TOO_MUCH in world.settle(number)
-    assert not world.merged(number)
+    number = stage.submit(**{path: write_mapping(document)})
+    assert TOO_MUCH in stage.settle(number)
+    assert not stage.merged(number)

@@ -23,233 +23,233 @@ STRICT = {RELEASE: "assurance: verified\napplications: verified\n"}
 
 
 @pytest.fixture
-def world(tmp_path: Path) -> PublicationStage:
+def stage(tmp_path: Path) -> PublicationStage:
     return PublicationStage(tmp_path)
 
 
-def on_main(world: PublicationStage, name: str = "relaying") -> Application:
+def on_main(stage: PublicationStage, name: str = "relaying") -> Application:
     """The application as managers see it."""
-    return EvidenceReader(world.verifier).read(world.main()).applications[name]
+    return EvidenceReader(stage.verifier).read(stage.main()).applications[name]
 
 
-def published(world: PublicationStage, **more: str) -> None:
+def published(stage: PublicationStage, **more: str) -> None:
     """The chart and the application, published together."""
-    number = world.submit(chart(), **{PATH: application(), **more})
-    world.settle(number)
-    assert world.merged(number)
+    number = stage.submit(chart(), **{PATH: application(), **more})
+    stage.settle(number)
+    assert stage.merged(number)
 
 
-def test_what_a_submission_brings_is_signed_in_the_same_commit(world: PublicationStage) -> None:
-    number = world.submit(chart(), **{PATH: application()})
-    text = world.settle(number)
-    newest = world.catalogue.commits[world.catalogue.tip]
+def test_what_a_submission_brings_is_signed_in_the_same_commit(stage: PublicationStage) -> None:
+    number = stage.submit(chart(), **{PATH: application()})
+    text = stage.settle(number)
+    newest = stage.catalogue.commits[stage.catalogue.tip]
     assert {PATH, STATEMENT} <= set(newest.changes)
-    main = on_main(world)
+    main = on_main(stage)
     assert main.assured
     assert main.digest == document_digest(application())
     assert "- application relaying: composed for 1 samples of its parameters, 1 releases" in text
     packed = chart()[0]
-    assert (frozenset({"relaying"}), frozenset({ChartReference("relay", "0.1.0", packed.digest)})) in world.trials.asked
+    assert (frozenset({"relaying"}), frozenset({ChartReference("relay", "0.1.0", packed.digest)})) in stage.trials.asked
 
 
-def test_the_same_again_is_published_already(world: PublicationStage) -> None:
-    published(world)
-    tip = world.catalogue.tip
-    assert "## Already published" in world.settle(world.submit(chart(), **{PATH: application()}))
-    assert world.catalogue.tip == tip
+def test_the_same_again_is_published_already(stage: PublicationStage) -> None:
+    published(stage)
+    tip = stage.catalogue.tip
+    assert "## Already published" in stage.settle(stage.submit(chart(), **{PATH: application()}))
+    assert stage.catalogue.tip == tip
 
 
-def test_what_a_trial_finds_refuses_before_any_suite_runs(world: PublicationStage) -> None:
-    world.trials.problems["relaying"] = ("spec.services[0]: a pod would run image x (with parameters {'a': 1})",)
-    number = world.submit(chart(), **{PATH: application()})
-    text = world.settle(number)
-    assert not world.merged(number)
+def test_what_a_trial_finds_refuses_before_any_suite_runs(stage: PublicationStage) -> None:
+    stage.trials.problems["relaying"] = ("spec.services[0]: a pod would run image x (with parameters {'a': 1})",)
+    number = stage.submit(chart(), **{PATH: application()})
+    text = stage.settle(number)
+    assert not stage.merged(number)
     assert "## Refused" in text
     assert (
         r"- applications/relaying.yaml: spec.services\[0\]: a pod would run image x (with parameters {'a': 1})" in text
     )
-    assert world.runner.runs == []
-    assert PATH not in world.main()
-    assert STATEMENT not in world.main()
+    assert stage.runner.runs == []
+    assert PATH not in stage.main()
+    assert STATEMENT not in stage.main()
 
 
-def test_while_nothing_can_be_rendered_it_waits(world: PublicationStage) -> None:
-    world.trials.fail = UnavailableError("charts cannot be rendered: it is not there")
-    number = world.submit(chart(), **{PATH: application()})
-    world.gate.round()
-    assert "It waits: charts cannot be rendered: it is not there" in world.text(number)
-    assert PATH not in world.main()
-    world.trials.fail = None
-    world.settle(number)
-    assert on_main(world).assured
+def test_while_nothing_can_be_rendered_it_waits(stage: PublicationStage) -> None:
+    stage.trials.fail = UnavailableError("charts cannot be rendered: it is not there")
+    number = stage.submit(chart(), **{PATH: application()})
+    stage.gate.round()
+    assert "It waits: charts cannot be rendered: it is not there" in stage.text(number)
+    assert PATH not in stage.main()
+    stage.trials.fail = None
+    stage.settle(number)
+    assert on_main(stage).assured
 
 
-def test_a_changed_application_is_tried_and_signed_anew(world: PublicationStage) -> None:
-    published(world)
+def test_a_changed_application_is_tried_and_signed_anew(stage: PublicationStage) -> None:
+    published(stage)
     changed = application(description="Relays, and more")
-    world.settle(world.submit(**{PATH: changed}))
-    assert on_main(world).assured
-    assert on_main(world).digest == document_digest(changed)
+    stage.settle(stage.submit(**{PATH: changed}))
+    assert on_main(stage).assured
+    assert on_main(stage).digest == document_digest(changed)
 
 
-def test_a_chart_version_that_breaks_what_is_published_is_refused(world: PublicationStage) -> None:
-    published(world)
-    world.trials.problems["relaying"] = ("spec: chart relay 0.2.0: values.rate: it is wrong",)
-    world.trials.only_with["relaying"] = "charts/relay/0.2.0.yaml"
-    number = world.submit(chart(version="0.2.0", replaces="0.1.0"))
-    text = world.settle(number)
-    assert not world.merged(number)
+def test_a_chart_version_that_breaks_what_is_published_is_refused(stage: PublicationStage) -> None:
+    published(stage)
+    stage.trials.problems["relaying"] = ("spec: chart relay 0.2.0: values.rate: it is wrong",)
+    stage.trials.only_with["relaying"] = "charts/relay/0.2.0.yaml"
+    number = stage.submit(chart(version="0.2.0", replaces="0.1.0"))
+    text = stage.settle(number)
+    assert not stage.merged(number)
     assert "applications/relaying.yaml, which is published, would not work any more: spec: chart relay 0.2.0" in text
 
 
-def test_what_did_not_pass_before_does_not_hold_up_a_chart_and_is_not_signed(world: PublicationStage) -> None:
-    world.settle(world.submit(chart()))
-    world.catalogue.push({PATH: application()})
-    world.trials.problems["relaying"] = ("spec: it never worked",)
-    number = world.submit(chart(version="0.2.0", replaces="0.1.0"))
-    world.settle(number)
-    assert world.merged(number)
-    assert STATEMENT not in world.main()
+def test_what_did_not_pass_before_does_not_hold_up_a_chart_and_is_not_signed(stage: PublicationStage) -> None:
+    stage.settle(stage.submit(chart()))
+    stage.catalogue.push({PATH: application()})
+    stage.trials.problems["relaying"] = ("spec: it never worked",)
+    number = stage.submit(chart(version="0.2.0", replaces="0.1.0"))
+    stage.settle(number)
+    assert stage.merged(number)
+    assert STATEMENT not in stage.main()
 
 
-def test_a_trial_that_was_not_finished_says_nothing_of_what_is_published(world: PublicationStage) -> None:
-    published(world)
-    signed = world.main()[STATEMENT]
-    world.trials.problems["relaying"] = ("spec: to try it needs more than 60 s",)
-    world.trials.only_with["relaying"] = "charts/relay/0.2.0.yaml"
-    world.trials.unfinished.add("relaying")
-    number = world.submit(chart(version="0.2.0", replaces="0.1.0"))
-    world.settle(number)
-    assert world.merged(number)
-    assert world.main()[STATEMENT] == signed
+def test_a_trial_that_was_not_finished_says_nothing_of_what_is_published(stage: PublicationStage) -> None:
+    published(stage)
+    signed = stage.main()[STATEMENT]
+    stage.trials.problems["relaying"] = ("spec: to try it needs more than 60 s",)
+    stage.trials.only_with["relaying"] = "charts/relay/0.2.0.yaml"
+    stage.trials.unfinished.add("relaying")
+    number = stage.submit(chart(version="0.2.0", replaces="0.1.0"))
+    stage.settle(number)
+    assert stage.merged(number)
+    assert stage.main()[STATEMENT] == signed
 
 
-def test_what_was_edited_past_the_gate_is_not_signed_by_a_later_publication(world: PublicationStage) -> None:
-    published(world)
-    signed = world.main()[STATEMENT]
+def test_what_was_edited_past_the_gate_is_not_signed_by_a_later_publication(stage: PublicationStage) -> None:
+    published(stage)
+    signed = stage.main()[STATEMENT]
     edited = application(description="Edited where nobody looked")
-    world.catalogue.push({PATH: edited})
-    world.settle(world.submit(chart(version="0.2.0", replaces="0.1.0")))
-    assert world.main()[STATEMENT] == signed
-    assert not on_main(world).assured
-    assert "is not what was verified" in on_main(world).evidence_problem
-    world.catalogue.push({STATEMENT: "{}"})
-    world.settle(world.submit(chart("another")))
-    assert world.main()[STATEMENT] == "{}"
+    stage.catalogue.push({PATH: edited})
+    stage.settle(stage.submit(chart(version="0.2.0", replaces="0.1.0")))
+    assert stage.main()[STATEMENT] == signed
+    assert not on_main(stage).assured
+    assert "is not what was verified" in on_main(stage).evidence_problem
+    stage.catalogue.push({STATEMENT: "{}"})
+    stage.settle(stage.submit(chart("another")))
+    assert stage.main()[STATEMENT] == "{}"
 
 
-def test_a_statement_of_another_application_is_not_renewed(world: PublicationStage) -> None:
-    published(world)
-    world.catalogue.push({OTHER: application("other"), OTHER_STATEMENT: world.main()[STATEMENT]})
-    world.settle(world.submit(chart(version="0.2.0", replaces="0.1.0")))
-    assert not on_main(world, "other").assured
-    assert on_main(world, "other").evidence_problem == "the evidence is about application 'relaying', not 'other'"
+def test_a_statement_of_another_application_is_not_renewed(stage: PublicationStage) -> None:
+    published(stage)
+    stage.catalogue.push({OTHER: application("other"), OTHER_STATEMENT: stage.main()[STATEMENT]})
+    stage.settle(stage.submit(chart(version="0.2.0", replaces="0.1.0")))
+    assert not on_main(stage, "other").assured
+    assert on_main(stage, "other").evidence_problem == "the evidence is about application 'relaying', not 'other'"
 
 
 def test_what_an_older_gate_published_is_signed_by_the_next_publication_unless_the_policy_is_strict(
-    world: PublicationStage,
+    stage: PublicationStage,
 ) -> None:
-    world.settle(world.submit(chart()))
-    world.catalogue.push({PATH: application(), **STRICT})
-    world.settle(world.submit(chart("another")))
-    assert STATEMENT not in world.main()
-    world.catalogue.push({RELEASE: "assurance: verified\n"})
-    world.settle(world.submit(**{OTHER: application("other")}))
-    assert on_main(world).assured
-    assert on_main(world, "other").assured
+    stage.settle(stage.submit(chart()))
+    stage.catalogue.push({PATH: application(), **STRICT})
+    stage.settle(stage.submit(chart("another")))
+    assert STATEMENT not in stage.main()
+    stage.catalogue.push({RELEASE: "assurance: verified\n"})
+    stage.settle(stage.submit(**{OTHER: application("other")}))
+    assert on_main(stage).assured
+    assert on_main(stage, "other").assured
 
 
-def test_a_chart_submitted_again_brings_the_statements_that_are_missing(world: PublicationStage) -> None:
-    world.settle(world.submit(chart()))
-    world.catalogue.push({PATH: application()})
-    number = world.submit(chart())
-    assert "## Verified" in world.settle(number)
-    assert on_main(world).assured
-    assert set(world.catalogue.commits[world.catalogue.tip].changes) == {STATEMENT}
+def test_a_chart_submitted_again_brings_the_statements_that_are_missing(stage: PublicationStage) -> None:
+    stage.settle(stage.submit(chart()))
+    stage.catalogue.push({PATH: application()})
+    number = stage.submit(chart())
+    assert "## Verified" in stage.settle(number)
+    assert on_main(stage).assured
+    assert set(stage.catalogue.commits[stage.catalogue.tip].changes) == {STATEMENT}
 
 
-def test_a_new_policy_lets_what_was_signed_be_signed_again_with_its_charts(world: PublicationStage) -> None:
-    published(world)
+def test_a_new_policy_lets_what_was_signed_be_signed_again_with_its_charts(stage: PublicationStage) -> None:
+    published(stage)
     policy = "policies/verification.yaml"
-    world.catalogue.push({**STRICT, policy: world.main()[policy].replace("seconds: 60", "seconds: 61")})
-    assert "made under another policy" in on_main(world).evidence_problem
-    number = world.submit(chart())
-    world.settle(number)
-    assert world.merged(number)
-    assert on_main(world).assured
+    stage.catalogue.push({**STRICT, policy: stage.main()[policy].replace("seconds: 60", "seconds: 61")})
+    assert "made under another policy" in on_main(stage).evidence_problem
+    number = stage.submit(chart())
+    stage.settle(number)
+    assert stage.merged(number)
+    assert on_main(stage).assured
 
 
-def test_another_version_of_the_bridge_is_tried_with_everything_that_links(world: PublicationStage) -> None:
+def test_another_version_of_the_bridge_is_tried_with_everything_that_links(stage: PublicationStage) -> None:
     bridge = application("bridging", "relay", provides=["link/mqtt"])
     topic = {"name": "/a", "type": "std_msgs/msg/String", "channel": "telemetry", "reliability": "reliable"}
     link = {"kind": "mqtt", "from": {"role": "vehicle"}, "to": {"role": "cloud"}}
     topics = [{**topic, "durability": "volatile", "depth": 1}]
     linking = application("linking", services=[], links=[{**link, "topics": topics}])
     more = {"applications/bridging.yaml": bridge, "applications/linking.yaml": linking}
-    number = world.submit(chart(), **more)
-    assert "Verified" in world.settle(number)
-    world.settle(world.submit(chart(version="0.2.0", replaces="0.1.0")))
-    assert world.trials.asked[-1][0] == {"bridging", "linking"}
+    number = stage.submit(chart(), **more)
+    assert "Verified" in stage.settle(number)
+    stage.settle(stage.submit(chart(version="0.2.0", replaces="0.1.0")))
+    assert stage.trials.asked[-1][0] == {"bridging", "linking"}
 
 
 @pytest.mark.parametrize("path", [STATEMENT, "evidence/applications/x/relaying.json"])
-def test_a_publisher_brings_no_statement(world: PublicationStage, path: str) -> None:
-    text = world.settle(world.submit(chart(), **{PATH: application(), path: "{}"}))
+def test_a_publisher_brings_no_statement(stage: PublicationStage, path: str) -> None:
+    text = stage.settle(stage.submit(chart(), **{PATH: application(), path: "{}"}))
     assert "a publisher may only touch" in text
-    assert PATH not in world.main()
+    assert PATH not in stage.main()
 
 
 # -- people ----------------------------------------------------------------------------------------------------------
 
 
-def proposed(world: PublicationStage, changes: dict[str, str | None]) -> tuple[int, str]:
+def proposed(stage: PublicationStage, changes: dict[str, str | None]) -> tuple[int, str]:
     """A person's pull request that another one approved, and what the gate says to it."""
-    number = world.forge.open(world.catalogue.commit(world.catalogue.tip, changes, "By hand"), "operator-team")
-    head = world.forge.pulls[number].head
-    world.forge.reviewed[number] = [Review("reviewer", head, True, True)]
+    number = stage.forge.open(stage.catalogue.commit(stage.catalogue.tip, changes, "By hand"), "operator-team")
+    head = stage.forge.pulls[number].head
+    stage.forge.reviewed[number] = [Review("reviewer", head, True, True)]
     for _ in range(2):
-        world.now += RESYNC_SECONDS
-        world.gate.round()
-    world.forge.pull_requests("all")
-    return number, "\n".join(comment.text for comment in world.forge.said[number])
+        stage.now += RESYNC_SECONDS
+        stage.gate.round()
+    stage.forge.pull_requests("all")
+    return number, "\n".join(comment.text for comment in stage.forge.said[number])
 
 
-def test_a_persons_application_is_tried_and_signed_in_the_merge(world: PublicationStage) -> None:
-    published(world)
+def test_a_persons_application_is_tried_and_signed_in_the_merge(stage: PublicationStage) -> None:
+    published(stage)
     changed = application(description="Changed by hand")
-    number, _ = proposed(world, {PATH: changed})
-    assert world.merged(number)
-    assert on_main(world).assured
-    newest = world.catalogue.commits[world.catalogue.tip]
+    number, _ = proposed(stage, {PATH: changed})
+    assert stage.merged(number)
+    assert on_main(stage).assured
+    newest = stage.catalogue.commits[stage.catalogue.tip]
     assert set(newest.changes) == {PATH, STATEMENT}
-    assert newest.parents[1] == world.forge.pulls[number].head
+    assert newest.parents[1] == stage.forge.pulls[number].head
 
 
-def test_a_persons_application_that_does_not_pass_cannot_be_merged(world: PublicationStage) -> None:
-    published(world)
-    world.trials.problems["relaying"] = ("spec.services[0]: Deployment relay: volume x: type hostPath",)
-    number, text = proposed(world, {PATH: application(description="Changed by hand")})
-    assert not world.merged(number)
+def test_a_persons_application_that_does_not_pass_cannot_be_merged(stage: PublicationStage) -> None:
+    published(stage)
+    stage.trials.problems["relaying"] = ("spec.services[0]: Deployment relay: volume x: type hostPath",)
+    number, text = proposed(stage, {PATH: application(description="Changed by hand")})
+    assert not stage.merged(number)
     assert "it cannot be merged." in text
     assert "applications/relaying.yaml: spec.services[0]: Deployment relay: volume x: type hostPath" in text
-    assert on_main(world).assured
+    assert on_main(stage).assured
 
 
-def test_nobody_writes_a_statement_by_hand_and_who_takes_it_away_takes_its_evidence(world: PublicationStage) -> None:
-    published(world)
-    number, text = proposed(world, {PATH: application(description="Changed"), STATEMENT: world.main()[STATEMENT] + " "})
-    assert not world.merged(number)
+def test_nobody_writes_a_statement_by_hand_and_who_takes_it_away_takes_its_evidence(stage: PublicationStage) -> None:
+    published(stage)
+    number, text = proposed(stage, {PATH: application(description="Changed"), STATEMENT: stage.main()[STATEMENT] + " "})
+    assert not stage.merged(number)
     assert f"{STATEMENT}: the gate alone writes this file" in text
-    number, _ = proposed(world, {STATEMENT: None})
-    assert world.merged(number)
-    assert on_main(world).evidence == ""
+    number, _ = proposed(stage, {STATEMENT: None})
+    assert stage.merged(number)
+    assert on_main(stage).evidence == ""
 
 
-def test_a_withdrawal_tries_nothing(world: PublicationStage) -> None:
-    published(world)
-    asked = len(world.trials.asked)
+def test_a_withdrawal_tries_nothing(stage: PublicationStage) -> None:
+    published(stage)
+    asked = len(stage.trials.asked)
     path = "charts/relay/0.1.0.yaml"
-    number, _ = proposed(world, {path: world.main()[path].replace("state: verified", "state: withdrawn")})
-    assert world.merged(number)
-    assert len(world.trials.asked) == asked
-    assert on_main(world).assured
+    number, _ = proposed(stage, {path: stage.main()[path].replace("state: verified", "state: withdrawn")})
+    assert stage.merged(number)
+    assert len(stage.trials.asked) == asked
+    assert on_main(stage).assured

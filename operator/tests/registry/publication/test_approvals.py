@@ -43,75 +43,75 @@ def test_only_mains_policy_opens_it(policy: str | None, waits: bool) -> None:
 
 
 @pytest.fixture
-def world(tmp_path: Path) -> PublicationStage:
+def stage(tmp_path: Path) -> PublicationStage:
     return PublicationStage(tmp_path)
 
 
-def waiting(world: PublicationStage) -> int:
+def waiting(stage: PublicationStage) -> int:
     """A submission whose suites have passed, and which waits."""
-    number = world.submit(chart(), **{PATH: INITIAL})
+    number = stage.submit(chart(), **{PATH: INITIAL})
     for _ in range(10):
-        world.gate.round()
-    assert world.forge.pulls[number].state == "open"
-    text = world.text(number)
+        stage.gate.round()
+    assert stage.forge.pulls[number].state == "open"
+    text = stage.text(number)
     assert "## Waiting: relay 0.1.0, application relaying" in text
     assert "runs by itself on every agent of role cloud (initialFor). Somebody with write rights who is no" in text
-    assert PATH not in world.main()
+    assert PATH not in stage.main()
     return number
 
 
-def test_it_waits_and_is_published_with_a_persons_approval(world: PublicationStage) -> None:
-    number = waiting(world)
-    shown("gate", world.text(number), "runs-by-itself")
-    world.forge.reviewed[number] = [Review("reviewer", world.forge.pulls[number].head, True, True)]
-    assert "## Verified: relay 0.1.0" in world.settle(number)
-    assert world.merged(number)
-    assert world.main()[PATH] == INITIAL
-    publication = world.catalogue.commits[world.catalogue.tip]
+def test_it_waits_and_is_published_with_a_persons_approval(stage: PublicationStage) -> None:
+    number = waiting(stage)
+    shown("gate", stage.text(number), "runs-by-itself")
+    stage.forge.reviewed[number] = [Review("reviewer", stage.forge.pulls[number].head, True, True)]
+    assert "## Verified: relay 0.1.0" in stage.settle(number)
+    assert stage.merged(number)
+    assert stage.main()[PATH] == INITIAL
+    publication = stage.catalogue.commits[stage.catalogue.tip]
     assert publication.message.endswith(f"RobotKube-Pull-Request: {number}\nRobotKube-Approved-By: reviewer\n")
     assert publication.author == "publisher"
 
 
 @pytest.mark.parametrize("account", ["publisher", "gate"])
-def test_no_machine_approves(world: PublicationStage, account: str) -> None:
-    number = waiting(world)
-    world.forge.reviewed[number] = [Review(account, world.forge.pulls[number].head, True, True)]
-    world.gate.round()
-    assert world.forge.pulls[number].state == "open"
-    assert PATH not in world.main()
+def test_no_machine_approves(stage: PublicationStage, account: str) -> None:
+    number = waiting(stage)
+    stage.forge.reviewed[number] = [Review(account, stage.forge.pulls[number].head, True, True)]
+    stage.gate.round()
+    assert stage.forge.pulls[number].state == "open"
+    assert PATH not in stage.main()
 
 
-def test_an_approval_is_of_one_commit(world: PublicationStage) -> None:
-    world.settle(world.submit(chart()))
-    number = world.submit(**{PATH: INITIAL})
-    old = world.forge.pulls[number].head
+def test_an_approval_is_of_one_commit(stage: PublicationStage) -> None:
+    stage.settle(stage.submit(chart()))
+    number = stage.submit(**{PATH: INITIAL})
+    old = stage.forge.pulls[number].head
     other = application(initialFor="vehicle")
-    world.forge.update(number, world.catalogue.commit(world.catalogue.tip, {PATH: other}, "another"))
-    world.forge.reviewed[number] = [Review("reviewer", old, True, True)]
+    stage.forge.update(number, stage.catalogue.commit(stage.catalogue.tip, {PATH: other}, "another"))
+    stage.forge.reviewed[number] = [Review("reviewer", old, True, True)]
     for _ in range(3):
-        world.gate.round()
-    assert PATH not in world.main()
-    world.forge.reviewed[number].append(Review("reviewer", world.forge.pulls[number].head, True, True))
-    world.settle(number)
-    assert world.main()[PATH] == other
+        stage.gate.round()
+    assert PATH not in stage.main()
+    stage.forge.reviewed[number].append(Review("reviewer", stage.forge.pulls[number].head, True, True))
+    stage.settle(number)
+    assert stage.main()[PATH] == other
 
 
-def test_who_is_against_it_holds_it(world: PublicationStage) -> None:
-    number = waiting(world)
-    head = world.forge.pulls[number].head
+def test_who_is_against_it_holds_it(stage: PublicationStage) -> None:
+    number = waiting(stage)
+    head = stage.forge.pulls[number].head
     against = Review("other", head, False, True)
-    world.forge.reviewed[number] = [Review("reviewer", head, True, True), against]
-    world.gate.round()
-    assert PATH not in world.main()
-    world.forge.reviewed[number].append(replace(against, approved=True))
-    world.settle(number)
-    assert world.merged(number)
+    stage.forge.reviewed[number] = [Review("reviewer", head, True, True), against]
+    stage.gate.round()
+    assert PATH not in stage.main()
+    stage.forge.reviewed[number].append(replace(against, approved=True))
+    stage.settle(number)
+    assert stage.merged(number)
 
 
-def test_a_gate_that_starts_anew_still_waits(world: PublicationStage) -> None:
-    number = waiting(world)
-    world.start()
+def test_a_gate_that_starts_anew_still_waits(stage: PublicationStage) -> None:
+    number = waiting(stage)
+    stage.start()
     for _ in range(10):
-        world.gate.round()
-    assert world.forge.pulls[number].state == "open"
-    assert PATH not in world.main()
+        stage.gate.round()
+    assert stage.forge.pulls[number].state == "open"
+    assert PATH not in stage.main()

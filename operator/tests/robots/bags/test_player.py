@@ -73,83 +73,83 @@ class PlayerStage:
 
 
 def test_messages_are_stamped_on_the_grid_and_ledgered(tmp_path: Path) -> None:
-    world = PlayerStage(tmp_path, START - 2_000_000_000)
-    world.at(START - 10**9, lambda: world.player.order(PlaybackRun("one", START)))
-    world.at(START + 6 * 10**9, world.end)
-    world.player.serve()
-    poses = world.network.endpoint("/p").published
+    stage = PlayerStage(tmp_path, START - 2_000_000_000)
+    stage.at(START - 10**9, lambda: stage.player.order(PlaybackRun("one", START)))
+    stage.at(START + 6 * 10**9, stage.end)
+    stage.player.serve()
+    poses = stage.network.endpoint("/p").published
     assert [header_stamp(data) for data in poses] == [START + k * 10_000_000 for k in range(500)]
-    ledger = world.ledger("one", "__p")
+    ledger = stage.ledger("one", "__p")
     assert ledger[-1] == {"end": True, "count": 500}
     assert [(line["sequence"], line["stamp"], line["sha256"]) for line in ledger[:-1]] == [
         (k, START + k * 10_000_000, hashlib.sha256(data).hexdigest()) for k, data in enumerate(poses)
     ]
-    assert world.ledger("one", "__t")[-1] == {"end": True, "count": 1}
-    assert world.player.counts.late == 0
-    assert 'robotkube_player_matched_subscriptions{topic="/p"} 1\n' in world.player.metrics()
+    assert stage.ledger("one", "__t")[-1] == {"end": True, "count": 1}
+    assert stage.player.counts.late == 0
+    assert 'robotkube_player_matched_subscriptions{topic="/p"} 1\n' in stage.player.metrics()
 
 
 def test_it_is_silent_without_an_order(tmp_path: Path) -> None:
-    world = PlayerStage(tmp_path, START)
-    world.at(START + 5 * 10**9, world.end)
-    world.player.serve()
-    assert world.network.endpoint("/p").published == []
+    stage = PlayerStage(tmp_path, START)
+    stage.at(START + 5 * 10**9, stage.end)
+    stage.player.serve()
+    assert stage.network.endpoint("/p").published == []
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_stall_is_made_up_for_in_order_and_counted(tmp_path: Path) -> None:
-    world = PlayerStage(tmp_path, START)
-    world.player.order(PlaybackRun("one", START))
-    world.clock.stall_at, world.clock.stall = START + 10**9, 2 * 10**9
-    world.at(START + 9 * 10**9, world.end)
-    world.player.serve()
-    assert [line.get("sequence") for line in world.ledger("one", "__p")[:-1]] == list(range(500))
-    assert world.player.counts.late == 100
+    stage = PlayerStage(tmp_path, START)
+    stage.player.order(PlaybackRun("one", START))
+    stage.clock.stall_at, stage.clock.stall = START + 10**9, 2 * 10**9
+    stage.at(START + 9 * 10**9, stage.end)
+    stage.player.serve()
+    assert [line.get("sequence") for line in stage.ledger("one", "__p")[:-1]] == list(range(500))
+    assert stage.player.counts.late == 100
 
 
 def test_a_new_run_starts_over(tmp_path: Path) -> None:
-    world = PlayerStage(tmp_path, START)
-    world.player.order(PlaybackRun("one", START))
+    stage = PlayerStage(tmp_path, START)
+    stage.player.order(PlaybackRun("one", START))
     second = START + 20 * 10**9
-    world.at(START + 10**9, lambda: world.player.order(PlaybackRun("two", second)))
-    world.at(second + 6 * 10**9, world.end)
-    world.player.serve()
-    assert "end" not in world.ledger("one", "__p")[-1]
-    assert world.ledger("two", "__p")[0]["stamp"] == second
-    assert world.ledger("two", "__p")[-1] == {"end": True, "count": 500}
+    stage.at(START + 10**9, lambda: stage.player.order(PlaybackRun("two", second)))
+    stage.at(second + 6 * 10**9, stage.end)
+    stage.player.serve()
+    assert "end" not in stage.ledger("one", "__p")[-1]
+    assert stage.ledger("two", "__p")[0]["stamp"] == second
+    assert stage.ledger("two", "__p")[-1] == {"end": True, "count": 500}
 
 
 def test_laps_follow_each_other_on_the_grid_and_leave_no_ledger(tmp_path: Path) -> None:
-    world = PlayerStage(tmp_path, START - 10**9, count=50)
+    stage = PlayerStage(tmp_path, START - 10**9, count=50)
     lap = 2 * 10**9
-    world.player.order(PlaybackRun("round", START, 3, lap))
-    world.at(START + 9 * 10**9, world.end)
-    world.player.serve()
-    stamps = [header_stamp(data) for data in world.network.endpoint("/p").published]
+    stage.player.order(PlaybackRun("round", START, 3, lap))
+    stage.at(START + 9 * 10**9, stage.end)
+    stage.player.serve()
+    stamps = [header_stamp(data) for data in stage.network.endpoint("/p").published]
     assert stamps == [START + n * lap + k * 10_000_000 for n in range(3) for k in range(50)]
-    assert world.player.counts.runs == 3
+    assert stage.player.counts.runs == 3
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_player_that_comes_back_joins_the_lap_that_is_due(tmp_path: Path) -> None:
     """All players drive on one clock: who was away misses what the others drove meanwhile."""
     lap = 10 * 10**9
-    world = PlayerStage(tmp_path, START + lap + 3 * 10**9)
-    world.player.order(PlaybackRun("round", START, 2, lap))
-    world.at(START + 3 * lap, world.end)
-    world.player.serve()
-    stamps = [header_stamp(data) for data in world.network.endpoint("/p").published]
+    stage = PlayerStage(tmp_path, START + lap + 3 * 10**9)
+    stage.player.order(PlaybackRun("round", START, 2, lap))
+    stage.at(START + 3 * lap, stage.end)
+    stage.player.serve()
+    stamps = [header_stamp(data) for data in stage.network.endpoint("/p").published]
     assert stamps == [START + lap + k * 10_000_000 for k in range(200, 500)], "a second of what is late is made up for"
-    assert len(world.network.endpoint("/t").published) == 1, "who subscribes late still gets the latched one"
+    assert len(stage.network.endpoint("/t").published) == 1, "who subscribes late still gets the latched one"
 
 
 def test_laps_end_when_the_order_is_taken_back(tmp_path: Path) -> None:
-    world = PlayerStage(tmp_path, START)
-    world.player.order(PlaybackRun("round", START, 9, 10 * 10**9))
-    world.at(START + 11 * 10**9, lambda: world.player.order(None))
-    world.at(START + 50 * 10**9, world.end)
-    world.player.serve()
-    assert header_stamp(world.network.endpoint("/p").published[-1]) <= START + 12 * 10**9
+    stage = PlayerStage(tmp_path, START)
+    stage.player.order(PlaybackRun("round", START, 9, 10 * 10**9))
+    stage.at(START + 11 * 10**9, lambda: stage.player.order(None))
+    stage.at(START + 50 * 10**9, stage.end)
+    stage.player.serve()
+    assert header_stamp(stage.network.endpoint("/p").published[-1]) <= START + 12 * 10**9
 
 
 def test_after_a_restart_it_goes_on_where_its_ledger_ends(tmp_path: Path) -> None:
@@ -172,36 +172,36 @@ def test_after_a_restart_it_goes_on_where_its_ledger_ends(tmp_path: Path) -> Non
 
 
 def test_after_a_signal_it_asks_for_the_rest(tmp_path: Path) -> None:
-    world = PlayerStage(tmp_path, START)
-    world.network.signals = [0, 3, 0, 50]
-    world.player.order(PlaybackRun("one", START))
-    world.at(START + 9 * 10**9, world.end)
-    world.player.serve()
-    assert [line.get("sequence") for line in world.ledger("one", "__p")[:-1]] == list(range(500))
-    assert [header_stamp(data) for data in world.network.endpoint("/p").published] == [
+    stage = PlayerStage(tmp_path, START)
+    stage.network.signals = [0, 3, 0, 50]
+    stage.player.order(PlaybackRun("one", START))
+    stage.at(START + 9 * 10**9, stage.end)
+    stage.player.serve()
+    assert [line.get("sequence") for line in stage.ledger("one", "__p")[:-1]] == list(range(500))
+    assert [header_stamp(data) for data in stage.network.endpoint("/p").published] == [
         START + k * 10_000_000 for k in range(500)
     ]
-    assert world.player.counts.published == 501
+    assert stage.player.counts.published == 501
 
 
 def test_what_is_not_taken_is_not_in_the_ledger(tmp_path: Path) -> None:
-    world = PlayerStage(tmp_path, START)
-    world.network.refused = restamped(message(207, 0, 76), START + 207 * 10_000_000)
-    world.player.order(PlaybackRun("one", START))
+    stage = PlayerStage(tmp_path, START)
+    stage.network.refused = restamped(message(207, 0, 76), START + 207 * 10_000_000)
+    stage.player.order(PlaybackRun("one", START))
     with pytest.raises(UnavailableError, match=r"topic /p: the middleware did not accept a message: no room"):
-        world.player.serve()
-    assert [line["sequence"] for line in world.ledger("one", "__p")] == list(range(207))
-    assert len(world.network.endpoint("/p").published) == 207
+        stage.player.serve()
+    assert [line["sequence"] for line in stage.ledger("one", "__p")] == list(range(207))
+    assert len(stage.network.endpoint("/p").published) == 207
 
 
 def test_a_run_far_away_is_waited_for_and_may_be_taken_back(tmp_path: Path) -> None:
-    world = PlayerStage(tmp_path, START - 60 * 10**9)
-    world.player.order(PlaybackRun("one", START))
-    world.at(START - 20 * 10**9, lambda: world.player.order(None))
-    world.at(START + 10**9, world.end)
-    world.player.serve()
-    assert world.network.endpoint("/p").published == []
-    assert world.clock.time < START + 2 * 10**9
+    stage = PlayerStage(tmp_path, START - 60 * 10**9)
+    stage.player.order(PlaybackRun("one", START))
+    stage.at(START - 20 * 10**9, lambda: stage.player.order(None))
+    stage.at(START + 10**9, stage.end)
+    stage.player.serve()
+    assert stage.network.endpoint("/p").published == []
+    assert stage.clock.time < START + 2 * 10**9
 
 
 def test_a_bag_is_read_with_topics_and_times(tmp_path: Path) -> None:

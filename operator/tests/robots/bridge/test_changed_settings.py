@@ -27,10 +27,10 @@ def text(*out: object) -> str:
 
 
 def test_a_bridge_is_not_ready_while_it_refuses_its_newest_settings(api: ApiServerInMemory) -> None:
-    world = BridgeStage()
-    settings = SettingsWatch(world.bridge, Process("mqtt-bridge", 1.0), Fencing())
+    stage = BridgeStage()
+    settings = SettingsWatch(stage.bridge, Process("mqtt-bridge", 1.0), Fencing())
     settings.begin(text(POSE), "config.yaml")
-    world.connect()
+    stage.connect()
     assert settings.complaint is None
 
     def change(to: str) -> None:
@@ -44,14 +44,14 @@ def test_a_bridge_is_not_ready_while_it_refuses_its_newest_settings(api: ApiServ
     complaint = str(settings.complaint)
     assert complaint.startswith("the newest settings are refused, the ones before are at work: ConfigMap a/bridge, key")
     assert "robotkube_settings_refused 1\n" in settings.metrics()
-    assert [end.topic for end in world.network.made if not end.closed] == [POSE["name"]]
+    assert [end.topic for end in stage.network.made if not end.closed] == [POSE["name"]]
 
     change(text(POSE))
     until(lambda: settings.complaint is None)
     change(text(CLOUD))
     until(lambda: settings.complaint is not None)
     settings.apply_changes()
-    world.connect()
+    stage.connect()
     assert settings.complaint is None
-    assert [end.topic for end in world.network.made if not end.closed] == [CLOUD["name"]]
+    assert [end.topic for end in stage.network.made if not end.closed] == [CLOUD["name"]]
     watch.stop()

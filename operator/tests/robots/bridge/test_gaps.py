@@ -25,94 +25,94 @@ from tests.stages.bridge.in_memory import CLOUD, POSE, BridgeStage
 WHERE = "mqtt-bridge of vehicle-00"
 
 
-def gaps_sent(world: BridgeStage, channel: str, place: int = -1) -> list[Gap]:
-    user = read_properties(world.channels[channel].properties[place]).user
+def gaps_sent(stage: BridgeStage, channel: str, place: int = -1) -> list[Gap]:
+    user = read_properties(stage.channels[channel].properties[place]).user
     return read_gaps(user["gaps"]) if "gaps" in user else []
 
 
-def after_an_outage(world: BridgeStage) -> None:
+def after_an_outage(stage: BridgeStage) -> None:
     """20 s without a broker: of 200 clouds the last ten are kept."""
-    world.configure(out=[CLOUD])
-    world.connect()
-    world.channels["bulk"].lose()
+    stage.configure(out=[CLOUD])
+    stage.connect()
+    stage.channels["bulk"].lose()
     for number in range(200):
-        world.network.endpoint(CLOUD["name"]).waiting = [message(number, number, 800_000)]
-        world.bridge.turn(number / 10)
-    world.channels["bulk"].connect()
-    world.bridge.turn(19.95)
+        stage.network.endpoint(CLOUD["name"]).waiting = [message(number, number, 800_000)]
+        stage.bridge.turn(number / 10)
+    stage.channels["bulk"].connect()
+    stage.bridge.turn(19.95)
 
 
 def test_clouds_of_an_outage_are_reported_with_the_first_one_after_it() -> None:
-    world = BridgeStage()
-    after_an_outage(world)
-    assert gaps_sent(world, "bulk") == [Gap(CLOUD["name"], WHERE, MANY, 190, 0, 189)]
-    assert world.logged("messages dropped") == []
-    world.channels["bulk"].acknowledge(1)
+    stage = BridgeStage()
+    after_an_outage(stage)
+    assert gaps_sent(stage, "bulk") == [Gap(CLOUD["name"], WHERE, MANY, 190, 0, 189)]
+    assert stage.logged("messages dropped") == []
+    stage.channels["bulk"].acknowledge(1)
     gap = {"why": MANY, "where": WHERE, "count": 190, "first": 0, "last": 189, "topic": CLOUD["name"]}
-    assert world.logged("messages dropped") == [{"channel": "bulk", **gap}]
-    world.bridge.turn(19.96)
-    assert len(world.channels["bulk"].sent) == 5, "then as many as may be on their way at once"
-    assert gaps_sent(world, "bulk") == []
+    assert stage.logged("messages dropped") == [{"channel": "bulk", **gap}]
+    stage.bridge.turn(19.96)
+    assert len(stage.channels["bulk"].sent) == 5, "then as many as may be on their way at once"
+    assert gaps_sent(stage, "bulk") == []
     labels = f'{{channel="bulk",topic="{CLOUD["name"]}",where="{WHERE}",why="{MANY}"}}'
-    assert f"robotkube_bridge_dropped_messages_total{labels} 190" in world.bridge.metrics()
-    assert f"robotkube_bridge_dropped_last_stamp_seconds{labels} 0.000000189" in world.bridge.metrics()
+    assert f"robotkube_bridge_dropped_messages_total{labels} 190" in stage.bridge.metrics()
+    assert f"robotkube_bridge_dropped_last_stamp_seconds{labels} 0.000000189" in stage.bridge.metrics()
 
 
 def test_a_gap_whose_batch_is_dropped_is_reported_by_the_next_one() -> None:
-    world = BridgeStage()
-    after_an_outage(world)
-    world.channels["bulk"].lose()
-    world.network.endpoint(CLOUD["name"]).waiting = [message(200, 200, 800_000)]
-    world.bridge.turn(20.0)
-    world.channels["bulk"].connect()
-    world.bridge.turn(20.1)
-    assert gaps_sent(world, "bulk") == [Gap(CLOUD["name"], WHERE, MANY, 191, 0, 190)]
+    stage = BridgeStage()
+    after_an_outage(stage)
+    stage.channels["bulk"].lose()
+    stage.network.endpoint(CLOUD["name"]).waiting = [message(200, 200, 800_000)]
+    stage.bridge.turn(20.0)
+    stage.channels["bulk"].connect()
+    stage.bridge.turn(20.1)
+    assert gaps_sent(stage, "bulk") == [Gap(CLOUD["name"], WHERE, MANY, 191, 0, 190)]
 
 
 def test_what_nobody_could_receive_is_reported_at_the_end() -> None:
-    world = BridgeStage()
-    after_an_outage(world)
-    world.bridge.close()
-    assert [fields["count"] for fields in world.logged("messages dropped")] == [190]
+    stage = BridgeStage()
+    after_an_outage(stage)
+    stage.bridge.close()
+    assert [fields["count"] for fields in stage.logged("messages dropped")] == [190]
 
 
 def test_a_batch_that_the_broker_refuses_is_a_gap_and_named() -> None:
-    world = BridgeStage()
-    world.configure(out=[POSE])
-    world.connect()
+    stage = BridgeStage()
+    stage.configure(out=[POSE])
+    stage.connect()
     for number in range(2):
-        world.network.endpoint(POSE["name"]).waiting = [message(number, 7 + number, 76)]
-        world.bridge.turn(float(number))
-        world.channels["telemetry"].reject(1)
-    assert gaps_sent(world, "telemetry") == [Gap(POSE["name"], WHERE, REFUSED, 1, 7, 7)]
-    assert "mqtt/vehicles/vehicle_00/pose: not authorised" in str(world.bridge.not_carried)
+        stage.network.endpoint(POSE["name"]).waiting = [message(number, 7 + number, 76)]
+        stage.bridge.turn(float(number))
+        stage.channels["telemetry"].reject(1)
+    assert gaps_sent(stage, "telemetry") == [Gap(POSE["name"], WHERE, REFUSED, 1, 7, 7)]
+    assert "mqtt/vehicles/vehicle_00/pose: not authorised" in str(stage.bridge.not_carried)
 
 
 def test_the_receiver_publishes_reported_gaps() -> None:
-    world = BridgeStage()
-    world.configure(into=[POSE], publish_gaps=True)
-    world.connect()
+    stage = BridgeStage()
+    stage.configure(into=[POSE], publish_gaps=True)
+    stage.connect()
     gap = Gap(POSE["name"], WHERE, OLD, 3, 10, 30)
     batch = encode_batch(1, 4, [b"pose"])
     for _ in range(2):
-        world.channels["telemetry"].events.received("mqtt" + POSE["name"], batch, gaps_property([gap]))
-    assert [read_gap_text(string_text(one).decode()) for one in world.network.endpoint(GAPS_TOPIC).published] == [gap]
-    assert len(world.logged("messages missing")) == 1
-    world.configure(into=[POSE])
-    assert [e.topic for e in world.network.made if e.closed] == [GAPS_TOPIC]
+        stage.channels["telemetry"].events.received("mqtt" + POSE["name"], batch, gaps_property([gap]))
+    assert [read_gap_text(string_text(one).decode()) for one in stage.network.endpoint(GAPS_TOPIC).published] == [gap]
+    assert len(stage.logged("messages missing")) == 1
+    stage.configure(into=[POSE])
+    assert [e.topic for e in stage.network.made if e.closed] == [GAPS_TOPIC]
 
 
 def test_a_batch_of_another_type_or_with_broken_properties_is_refused() -> None:
-    world = BridgeStage()
-    world.configure(into=[POSE])
-    world.connect()
+    stage = BridgeStage()
+    stage.configure(into=[POSE])
+    stage.connect()
     batch = encode_batch(1, 0, [b"pose"])
     wrong_type = b"\x26\0\x04type\0\x01x"
     for properties in (wrong_type, b"\x26", b"\x26\0\x04gaps\0\x01{"):
-        world.channels["telemetry"].events.received("mqtt" + POSE["name"], batch, properties)
-    assert world.network.endpoint(POSE["name"]).published == []
-    assert 'refused_batches_total{channel="telemetry"} 3' in world.bridge.metrics()
-    assert "its type is x, that of the topic geometry_msgs/msg/PoseStamped" in str(world.logged("batch refused"))
+        stage.channels["telemetry"].events.received("mqtt" + POSE["name"], batch, properties)
+    assert stage.network.endpoint(POSE["name"]).published == []
+    assert 'refused_batches_total{channel="telemetry"} 3' in stage.bridge.metrics()
+    assert "its type is x, that of the topic geometry_msgs/msg/PoseStamped" in str(stage.logged("batch refused"))
 
 
 def batch(number: int, born: float, retained: bool = False, size: int = 1) -> OutgoingBatch:

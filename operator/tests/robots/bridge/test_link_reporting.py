@@ -52,35 +52,35 @@ def faults(report: LinkReport | None) -> dict[tuple[str, str], str]:
 
 
 def test_while_everything_is_carried_nothing_is_said() -> None:
-    world = Reporter()
-    world.configure(out=[POSE], into=[EVERYBODY])
-    world.connect()
-    assert world.said() == []
+    reporter = Reporter()
+    reporter.configure(out=[POSE], into=[EVERYBODY])
+    reporter.connect()
+    assert reporter.said() == []
 
 
 def test_a_type_that_is_not_installed_is_reported_once_and_taken_back_with_the_topic() -> None:
-    world = Reporter()
-    world.configure(out=[ODD, POSE])
-    world.connect()
-    [report] = world.said()
+    reporter = Reporter()
+    reporter.configure(out=[ODD, POSE])
+    reporter.connect()
+    [report] = reporter.said()
     [(place, reason)] = faults(report).items()
     assert place == ("out", CLOUD["name"])
     assert "message package nowhere is not installed" in reason
-    assert world.said() == []
-    world.configure(out=[POSE])
-    assert world.said() == [None]
-    assert world.said() == []
+    assert reporter.said() == []
+    reporter.configure(out=[POSE])
+    assert reporter.said() == [None]
+    assert reporter.said() == []
 
 
 def test_what_the_broker_refuses_is_reported_by_the_topics_own_name() -> None:
-    world = Reporter()
-    world.configure(out=[POSE], into=[{**POSE, "name": "/other"}, EVERYBODY])
-    world.connect()
-    world.said()
-    events = world.channels["telemetry"].events
+    reporter = Reporter()
+    reporter.configure(out=[POSE], into=[{**POSE, "name": "/other"}, EVERYBODY])
+    reporter.connect()
+    reporter.said()
+    events = reporter.channels["telemetry"].events
     for refused in ("mqtt/other", "mqtt/vehicles/+/pose", TOPIC):
         events.refused(refused, "not authorised")
-    [report] = world.said()
+    [report] = reporter.said()
     assert faults(report) == {
         ("in", "/other"): "the broker refuses mqtt/other: not authorised",
         ("in", "/vehicles/{agent}/pose"): "the broker refuses mqtt/vehicles/+/pose: not authorised",
@@ -88,12 +88,12 @@ def test_what_the_broker_refuses_is_reported_by_the_topics_own_name() -> None:
 
 
 def test_a_topic_of_an_agent_that_cannot_be_opened_is_reported_for_the_one_that_stands_for_all() -> None:
-    world = Reporter()
-    world.configure(into=[{**EVERYBODY, "type": "nowhere/msg/Odd"}])
-    world.connect()
-    received = world.channels["telemetry"].events.received
+    reporter = Reporter()
+    reporter.configure(into=[{**EVERYBODY, "type": "nowhere/msg/Odd"}])
+    reporter.connect()
+    received = reporter.channels["telemetry"].events.received
     received("mqtt/vehicles/vehicle_07/pose", encode_batch(1, 0, [b"pose"]), b"")
-    [report] = world.said()
+    [report] = reporter.said()
     [(place, reason)] = faults(report).items()
     assert place == ("in", "/vehicles/{agent}/pose")
     assert "/vehicles/vehicle_07/pose is not carried" in reason

@@ -75,32 +75,32 @@ def topics(random_: random.Random) -> str:
 
 @CASES
 def test_any_message_at_any_topic(cases: int) -> None:
-    random_, world = random.Random(SEED), BridgeStage()  # noqa: S311 - repeatable, not secret
+    random_, stage = random.Random(SEED), BridgeStage()  # noqa: S311 - repeatable, not secret
     status = {"name": "/robotkube/task_status", "type": "std_msgs/msg/String"}
-    world.configure(into=[EVERYBODY, IKA, status], publish_gaps=True)
-    world.connect()
-    events = world.channels["telemetry"].events
+    stage.configure(into=[EVERYBODY, IKA, status], publish_gaps=True)
+    stage.connect()
+    events = stage.channels["telemetry"].events
     tracemalloc.start()
     try:
         for case in range(cases):
             events.received(topics(random_), payloads(random_), properties(random_))
             if case % 50:
                 continue
-            world.bridge.turn(case / 100)
-            for endpoint in world.network.made:
+            stage.bridge.turn(case / 100)
+            for endpoint in stage.network.made:
                 endpoint.published.clear()
-            world.channels["telemetry"].unsubscribed.clear()
-            world.lines.clear()
-            world.events.clear()
+            stage.channels["telemetry"].unsubscribed.clear()
+            stage.lines.clear()
+            stage.events.clear()
         assert tracemalloc.get_traced_memory()[0] < MEMORY_BYTES_MAX
     finally:
         tracemalloc.stop()
-    known = [endpoint.topic for endpoint in world.network.made]
+    known = [endpoint.topic for endpoint in stage.network.made]
     assert len(known) <= 502
     assert {GAPS_TOPIC, IKA["name"], "/vehicles/vehicle_03/pose"} <= set(known)
     events.received("mqtt/vehicles/vehicle_03/pose", encode_batch(1, 1, [b"good"]), b"")
-    assert world.network.endpoint("/vehicles/vehicle_03/pose").published == [b"good"]
-    assert 'refused_batches_total{channel="telemetry"} 0' not in world.bridge.metrics()
+    assert stage.network.endpoint("/vehicles/vehicle_03/pose").published == [b"good"]
+    assert 'refused_batches_total{channel="telemetry"} 0' not in stage.bridge.metrics()
 
 
 @CASES

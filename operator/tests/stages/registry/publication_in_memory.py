@@ -1,4 +1,4 @@
-"""A world for publication in memory: catalogue, forge, registry, suite-runner and keys, and gates that come and go."""
+"""A stage for publication in memory: catalogue, forge, registry, suite-runner and keys, and gates that come and go."""
 
 from pathlib import Path
 from typing import Any
@@ -110,18 +110,18 @@ class PublicationStage:
         return self.catalogue.trees[self.catalogue.tip]
 
 
-def status_of(world: PublicationStage, packed: PackedChart) -> dict[str, Any]:
-    return read_mapping(world.main()[entry_path(packed)], "entry")["status"]
+def status_of(stage: PublicationStage, packed: PackedChart) -> dict[str, Any]:
+    return read_mapping(stage.main()[entry_path(packed)], "entry")["status"]
 
 
-def assured(world: PublicationStage, packed: PackedChart) -> bool:
+def assured(stage: PublicationStage, packed: PackedChart) -> bool:
     """Whether the catalogue's evidence stands as a manager sees it."""
     artefact = Artefact(packed.name, packed.version, packed.digest, "linux/amd64")
-    files = {p: t for p, t in world.main().items() if p.startswith(artefact.folder)}
+    files = {p: t for p, t in stage.main().items() if p.startswith(artefact.folder)}
     statements = {
-        p.rpartition("/")[2].removesuffix(".json"): world.verifier.verify(t.encode()) for p, t in files.items()
+        p.rpartition("/")[2].removesuffix(".json"): stage.verifier.verify(t.encode()) for p, t in files.items()
     }
     path = entry_path(packed)
-    schema = world.main()[path.removesuffix(".yaml") + ".schema.json"]
-    listing = Listing(read_chart_version(world.main()[path], path).entry, sha256(schema.encode()))
-    return assess(artefact, POLICY, status_of(world, packed)["evidence"], statements, listing).assured
+    schema = stage.main()[path.removesuffix(".yaml") + ".schema.json"]
+    listing = Listing(read_chart_version(stage.main()[path], path).entry, sha256(schema.encode()))
+    return assess(artefact, POLICY, status_of(stage, packed)["evidence"], statements, listing).assured
