@@ -1,4 +1,4 @@
-"""How long steps took when they were last done, kept in the cache folder: what the next estimate is."""
+"""Durations of steps when they were last done, kept in the cache folder: what the next estimate is."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Durations:
         self._file = (folder or user_cache()) / FILE
 
     def last(self, step: str) -> float | None:
-        """How long the step took when it was last done; None when nobody knows."""
+        """The seconds that the step took when it was last done; None when nobody knows."""
         return self._read().get(step)
 
     def note(self, step: str, seconds: float) -> None:

@@ -22,7 +22,7 @@ OWNER_ONLY = 0o600
 
 
 def folder() -> Path:
-    """Where key and evidence are."""
+    """The folder of key and evidence."""
     return user_cache() / "evidence"
 
 

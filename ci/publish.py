@@ -130,7 +130,7 @@ def find_forge(kubeconfig: Path, account: str = ACCOUNT, reach: Reach = directly
 
 
 def authorities(kubeconfig: Path) -> str:
-    """Who signs the certificates of the platform's servers, as PEM."""
+    """The authority that signs the certificates of the platform's servers, as PEM."""
     from kubernetes import client, config
 
     api = client.CoreV1Api(config.new_client_from_config(str(kubeconfig)))

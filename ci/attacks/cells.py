@@ -27,7 +27,7 @@ class Refused:
 
 @dataclass(frozen=True)
 class Unseen:
-    """Why an attack cannot be seen at a place."""
+    """The reason why an attack cannot be seen at a place."""
 
     why: str
 

@@ -72,7 +72,7 @@ def site(repository: Repository, read: Read) -> dict[str, str]:
 
 
 def place(name: str) -> str:
-    """Where a page of the repository stands in the site, and what a link to it has to name."""
+    """The place of a page of the repository in the site, and what a link to it has to name."""
     folder, _, file = name.rpartition("/")
     return f"{folder}/index.md".lstrip("/") if file == TOP else name
 

@@ -76,7 +76,7 @@ def node_root(cluster: str, node: str, weight: int) -> str:
 
 
 def _weigh(folder: Path, weight: int) -> None:
-    """Where the folder has a say in processor time."""
+    """Write the weight of a folder, where it has a say in processor time."""
     for name, value in (("cpu.weight", weight), ("cpu.shares", weight * SHARES_OF_100 // 100)):
         if (folder / name).exists():
             (folder / name).write_text(str(value))

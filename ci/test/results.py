@@ -25,8 +25,8 @@ WHY_CHARACTERS_MAX = 400
 
 @dataclass(frozen=True)
 class Counts:
-    """How many tests ended how; `died` are those that started and never ended (they count as failed). `failures` says
-    of each failed one, in one line, why."""
+    """Numbers of tests by how they ended; `died` are those that started and never ended (they count as failed).
+    `failures` says of each failed one, in one line, why."""
 
     passed: int
     failed: int

@@ -27,11 +27,11 @@ class K3sNode:
 
     @property
     def is_k3s(self) -> bool:
-        """Whether it is k3s's."""
+        """Return whether it is k3s's."""
         return MARK in self.version
 
     def is_on(self, boot: str) -> bool:
-        """Whether it is on the machine that was booted so."""
+        """Return whether it is on the machine that was booted so."""
         return self.boot == boot
 
     def lacking(self, references: Iterable[str]) -> list[str]:

@@ -38,7 +38,7 @@ class K3s(Existing):
 
     @property
     def authority_file(self) -> Path:
-        """Who signed that registry's certificate, for each Node, where it is none of the usual ones."""
+        """The file of the authority of that registry's certificate, for each Node, where it is none of the usual ones."""
         return self.work() / Path(registries.AUTHORITY).name
 
     def take(self) -> tuple[str, ...]:
@@ -132,7 +132,7 @@ class K3s(Existing):
         return [nodes.read(item) for item in self._nodes.objects()]
 
     def _all_here(self) -> bool:
-        """Whether this machine is that of every Node."""
+        """Return whether this machine is that of every Node."""
         return all(node.is_on(nodes.this_boot()) for node in self._read())
 
 

@@ -153,7 +153,7 @@ class KindCluster(ReachedThroughApiServer):
         return ChartProfile((), values)
 
     def _addresses(self) -> Mapping[str, Any]:
-        """Where the API server and kubelets answer, for a network that enforces policies."""
+        """Addresses at which the API server and kubelets answer, for a network that enforces policies."""
         states = [node for node in self._given_nodes.all_states() if not node.guest]
         every = [{"ipBlock": {"cidr": f"{node.address}/32"}} for node in states]
         control = [one for one, node in zip(every, states, strict=True) if node.name == f"{CLUSTER}-control-plane"]

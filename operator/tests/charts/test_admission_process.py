@@ -87,7 +87,7 @@ class Stage:
         return bool(self.listed()["metadata"].get("annotations", {}).get(COMMIT) == commit)
 
     def starts(self, reference: str) -> bool:
-        """Whether a pod of a ReplicaSet may run this image on the agent."""
+        """Return whether a pod of a ReplicaSet may run this image on the agent."""
         return bool(self.api.request("POST", PODS, pod(reference), REPLICA_SETS)["kind"] == "Pod")
 
     def counted(self, name: str) -> float:

@@ -93,7 +93,7 @@ class Installed:
         assert answer.is_success or answer.status_code == 404, answer.text
 
     def believed(self, folder: Path) -> bool:
-        """Whether what the key signs is believed in both namespaces."""
+        """Return whether what the key signs is believed in both namespaces."""
         (folder / "key").write_text(self.private())
         envelopes = Signing(KeyFile(folder / "key")).sign(artefact()).values()
         for namespace in (GATE, PLATFORM):

@@ -71,7 +71,7 @@ def part(template: Object, key: str) -> Any:
 
 
 def holds(found: Any, given: Any) -> bool:
-    """Whether all that was given is in what was found, beside what the chart sets itself."""
+    """Return whether all that was given is in what was found, beside what the chart sets itself."""
     if isinstance(given, dict):
         return isinstance(found, dict) and all(found.get(key) == value for key, value in given.items())
     return all(item in (found or []) for item in given) if isinstance(given, list) else bool(found == given)

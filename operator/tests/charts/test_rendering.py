@@ -88,7 +88,7 @@ def container_problems(container: Object) -> list[str]:
 
 
 def made_keys(platform: Any) -> int:
-    """Whether the chart has the key made: 1 or 0 Jobs."""
+    """Return whether the chart has the key made: 1 or 0 Jobs."""
     return len([name for name, _ in platform.pods if name.startswith("Job/gate-key-")])
 
 
@@ -390,7 +390,7 @@ def test_secrets_are_files_but_where_a_program_takes_none(platform: Any) -> None
 
 
 def is_account(secret: str) -> bool:
-    """Whether a Secret is that of an account at the broker, which has a certificate, too."""
+    """Return whether a Secret is that of an account at the broker, which has a certificate, too."""
     return f"{secret}-".startswith("broker-account-")
 
 

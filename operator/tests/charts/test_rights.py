@@ -320,7 +320,7 @@ def may(asking: httpx.Client, account: str, verb: str, namespace: str, resource:
 
 
 def reads_secrets(asking: httpx.Client, account: str, namespace: str, name: str = "") -> bool:
-    """Whether the account may read this Secret, or any of the namespace, by any verb."""
+    """Return whether the account may read this Secret, or any of the namespace, by any verb."""
     return any(may(asking, account, verb, namespace, "secrets", name) for verb in READING)
 
 

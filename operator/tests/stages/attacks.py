@@ -76,6 +76,6 @@ def _last(session: pytest.Session, name: str) -> pytest.Item:
 
 
 def _chosen(item: pytest.Item) -> bool:
-    """Whether somebody chose parameters or tests by their names."""
+    """Return whether somebody chose parameters or tests by their names."""
     config = item.config
     return bool(config.option.keyword) or any("[" in str(argument) for argument in config.args)

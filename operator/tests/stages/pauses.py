@@ -1,4 +1,4 @@
-"""How long a loop waits between its steps, seen without waiting."""
+"""Pauses of a loop between its steps, seen without waiting."""
 
 from __future__ import annotations
 

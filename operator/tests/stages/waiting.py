@@ -22,7 +22,7 @@ def until(
     seconds: float | None = None,
     state: Callable[[], object] = lambda: "",
 ) -> None:
-    """Until it is true; fails after `seconds` with `what`, and with the `state` as it is then.
+    """Wait until it is true; fails after `seconds` with `what`, and with the `state` as it is then.
 
     Without `seconds` it ends what hangs, after WAIT_SECONDS_MAX. Where a look takes longer than LOOK_SECONDS_MAX, the
     machine does other things meanwhile, and it counts as that much: what is waited for is as slow. At most STRETCH_MAX

@@ -56,7 +56,7 @@ def choice(given: str = "") -> str:
 
 
 def folder(folders: ClusterFolders) -> Path:
-    """Where everything of admission stands."""
+    """The folder of all files of admission."""
     return folders.base / "admission"
 
 

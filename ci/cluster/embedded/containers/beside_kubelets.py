@@ -79,7 +79,7 @@ class Unknown:
 
     @property
     def grace_seconds(self) -> float:
-        """How long it may stay unknown before it is named."""
+        """The seconds that it may stay unknown before it is named."""
         return GRACE_SECONDS if self.container.started else MAKING_SECONDS
 
 

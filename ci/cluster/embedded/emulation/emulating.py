@@ -53,7 +53,7 @@ class EmulatedCable:
 
     @property
     def acts(self) -> tuple[str, ...]:
-        """Where in the path each condition acts, in words."""
+        """The place in the path at which each condition acts, in words."""
         return tuple(rules.acting(self.wiring, self.conditions, self.netem, self.node))
 
 

@@ -155,7 +155,7 @@ def _table(name: str, lines: list[str]) -> str:
 
 
 def acting(wiring: Wiring, conditions: NetworkConditions, netem: bool, node: str) -> Iterator[str]:
-    """Where in the path each condition acts, in words, upwards and downwards."""
+    """The place in the path at which each condition acts, in words, upwards and downwards."""
     own = f"{NODE_END} of node {node}"
     kind = "netem" if conditions.round_trip_ms and netem else "tbf"
     if conditions.up_mbit:

@@ -31,7 +31,7 @@ def read(process: int | str, proc: Path = PROC) -> tuple[Mount, ...]:
 
 
 def below(folder: Path, proc: Path = PROC) -> tuple[str, ...]:
-    """Where something is mounted below a folder of this machine, in the order in which it was mounted."""
+    """Mount points below a folder of this machine, in the order in which they were mounted."""
     return tuple(mount.place for mount in read("self", proc) if mount.place.startswith(f"{folder}/"))
 
 

@@ -99,7 +99,7 @@ class Following:
 
     @property
     def nodes(self) -> int:
-        """How many nodes have rules."""
+        """The number of nodes that have rules."""
         return len(self._applied)
 
     def step(self, changed: bool) -> None:

@@ -117,7 +117,7 @@ class Picture(NamedTuple):
 
 
 def _plain(tick: Element, anchor: str) -> bool:
-    """Whether it is an axis's tick, and no value beside a bar."""
+    """Return whether it is an axis's tick, and no value beside a bar."""
     return tick.get("text-anchor") == anchor and " " not in (tick.text or "") and tick.get("x") != "386"
 
 

@@ -103,7 +103,7 @@ def with_tests() -> list[groups.Group]:
 
 
 def reads(group: groups.Group) -> bool:
-    """Whether the group reads the one file of tests that there is."""
+    """Return whether the group reads the one file of tests that there is."""
     return groups.chosen(group, [groups.TESTS]) != [groups.TESTS]
 
 

@@ -42,7 +42,7 @@ class Served:
         return self.clients.enter_context(made)
 
     def answers(self, source: str = HERE) -> bool:
-        """Whether a new client is answered."""
+        """Return whether a new client is answered."""
         client = self.connect(source)
         with suppress(OSError):
             client.sendall(ASK)

@@ -61,7 +61,7 @@ def a_plan(installation: Installation, manager: Clone, gate: RunningGate, name: 
 
 
 def decided(installation: Installation, number: int) -> bool:
-    """Whether it was merged; waits for the forge to say so."""
+    """Return whether it was merged; waits for the forge to say so."""
     until(lambda: installation.pull_request(number)["state"] == "closed", "closed")
     return bool(installation.pull_request(number)["merged"])
 

@@ -44,7 +44,7 @@ def review(installation: Installation, account: str, number: int, commit: str, e
 
 
 def settled(installation: Installation, gate: RunningGate, number: int) -> bool:
-    """Whether the pull request is still open after two more rounds in which approvals are looked at."""
+    """Return whether the pull request is still open after two more rounds in which approvals are looked at."""
     rounds = gate.gate.statistics.rounds
     for more in (1, 2):
         gate.gate._resync_due = True

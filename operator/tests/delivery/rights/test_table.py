@@ -426,7 +426,7 @@ odd_items = st.fixed_dictionaries({"name": odd_names}, optional={"mqtt_topic": o
 
 
 def matches(topic_filter: str, topic: str) -> bool:
-    """Whether a filter without `#` stands for the topic."""
+    """Return whether a filter without `#` stands for the topic."""
     mine, parts = topic_filter.split("/"), topic.split("/")
     return len(mine) == len(parts) and all(one in ("+", part) for one, part in zip(mine, parts, strict=True))
 

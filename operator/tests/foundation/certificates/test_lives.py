@@ -1,4 +1,4 @@
-"""When a certificate is replaced, and why."""
+"""The life of a certificate: when it is replaced, and why."""
 
 from __future__ import annotations
 

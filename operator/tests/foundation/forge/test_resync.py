@@ -1,4 +1,4 @@
-"""When gate and manager read everything again although nobody notified them."""
+"""Resyncs: gate and manager read everything again although nobody notified them."""
 
 from __future__ import annotations
 

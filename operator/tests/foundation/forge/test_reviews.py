@@ -1,4 +1,4 @@
-"""When reviews approve a commit."""
+"""Reviews of a commit, and which of them approve it."""
 
 from dataclasses import replace
 

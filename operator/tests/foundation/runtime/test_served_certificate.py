@@ -188,7 +188,7 @@ def test_a_client_that_does_not_greet_keeps_nobody_waiting_and_is_ended(start: C
 
 
 def taken(served: Served) -> bool:
-    """Whether a new connection is taken; the place of one that was ended is free a moment later."""
+    """Return whether a new connection is taken; the place of one that was ended is free a moment later."""
     try:
         return bool(served.shown())
     except (ssl.SSLError, ConnectionError):

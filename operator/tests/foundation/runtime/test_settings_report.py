@@ -1,4 +1,4 @@
-"""Whether the newest settings are at work: every order in which texts are given, taken and refused."""
+"""The report whether the newest settings are at work: every order in which texts are given, taken and refused."""
 
 from robotkube.foundation.runtime.loops.settings_report import PENDING, REFUSED, SettingsReport
 

@@ -111,7 +111,7 @@ def signed_delivery() -> bytes:
 
 
 def ended(connection: socket.socket) -> bool:
-    """Whether the server has ended it; reads what is there."""
+    """Return whether the server has ended it; reads what is there."""
     readable, _, _ = select.select([connection], [], [], 0)
     try:
         return bool(readable) and connection.recv(4096) == b""

@@ -162,7 +162,7 @@ def client(kubectl: Kubectl, address: str, code: int | None = 0) -> str:
 
 
 def eventually(kubectl: Kubectl, address: str, expected: str, seconds: float | None = None) -> None:
-    """Until that is the answer: kube-proxy hears of a new endpoint a moment later."""
+    """Wait until that is the answer: kube-proxy hears of a new endpoint a moment later."""
     until(lambda: client(kubectl, address, code=None) == expected, f"{address} answers {expected!r}", seconds)
 
 
@@ -239,7 +239,7 @@ def test_network_policies_are_enforced(cluster: Embedded, probes: Kubectl) -> No
 
 
 def reads(url: str, *through: str) -> bool:
-    """Whether the machine, or whoever it asks through, reads a page."""
+    """Return whether the machine, or whoever it asks through, reads a page."""
     command = [*through, "curl", "--silent", "--fail", "--max-time", "3", url]
     return subprocess.run(command, capture_output=True, check=False).returncode == 0
 
@@ -337,5 +337,5 @@ def test_a_start_killed_half_way_leaves_nothing_after_down(
 
 
 def has_started(process: str) -> bool:
-    """Whether the cluster's start has come so far that it has recorded a process of this name."""
+    """Return whether the cluster's start has come so far that it has recorded a process of this name."""
     return process in {one.name for one in processes.recorded(ClusterFolders(NAME))}

@@ -111,7 +111,7 @@ def driven(platform: Platform) -> Iterator[None]:
 
 
 def starts(platform: Platform) -> dict[str, int]:
-    """How often containers of the platform's pods have started again, by pod."""
+    """Pod of the platform -> how often its containers have started again."""
     times = {}
     for pod in platform.get("-n", NAMESPACE, "pods")["items"]:
         statuses = pod["status"].get("containerStatuses", ())

@@ -62,7 +62,7 @@ def test_down_after_an_interrupt_leaves_nothing(tmp_path: Path, moment: str) -> 
 
 
 def wait_for(line: str, talk: Path, process: subprocess.Popen[bytes]) -> None:
-    """Until the demo says that it is there."""
+    """Wait until the demo says that it is there."""
     end = time.monotonic() + REACHED_SECONDS_MAX
     while line not in talk.read_text():
         assert process.poll() is None, talk.read_text()[-2000:]

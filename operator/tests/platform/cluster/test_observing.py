@@ -36,7 +36,7 @@ def asked(stage: Stage, name: str, sensor: str) -> str:
 
 
 def await_observed(stage: Stage, key: str) -> None:
-    """Until the cluster has the plan of a task."""
+    """Wait until the cluster has the plan of a task."""
     eventually(
         f"{key} is observed", lambda: stage.condition(key, READY).get("reason") == "Observed", OBSERVED_SECONDS_MAX
     )
@@ -62,7 +62,7 @@ def hooks_lost(platform: Platform) -> Iterator[None]:
 
 
 def hook_is_reachable(platform: Platform) -> bool:
-    """Whether the gate's pod can connect to the service of the hook: its nodes' rules follow the selector later."""
+    """Return whether the gate's pod can connect to the hook's Service: its nodes' rules follow the selector later."""
     answer = platform.kubectl("-n", "robotkube-gate", "exec", "deployment/gate", "--", "python3", "-c", CONNECT)
     return answer.strip() == "connected"
 
@@ -78,7 +78,7 @@ def test_a_plan_is_observed_whose_hook_was_lost(platform: Platform, stage: Stage
 
 
 def asks_for(platform: Platform, stage: Stage, key: str) -> bool:
-    """Whether the manager's log says that it has asked Argo CD again for the commit of a task, or for a later one."""
+    """Return whether the manager's log says that it has asked Argo CD again for a task's commit, or for a later one."""
     commits = stage.commits()
     made = [key in commit.trailers.get("Task", ()) for commit in commits].index(True)
     names = [f'"after": "{commit.sha[:12]}"' for commit in commits[: made + 1]]
@@ -102,7 +102,7 @@ def test_a_broken_file_is_named_reverted_and_the_next_plan_observed(
 
 
 def named(stage: Stage, key: str) -> bool:
-    """Whether the task's conditions name the broken file."""
+    """Return whether the task's conditions name the broken file."""
     conditions = (stage.condition(key, COMMITTED), stage.condition(key))
     return any(one.get("reason") == "MainBroken" and BROKEN in one["message"] for one in conditions)
 
@@ -126,7 +126,7 @@ def test_after_the_forge_was_away_the_demands_are_carried_out_in_their_order(pla
 
 
 def waits(stage: Stage, key: str) -> bool:
-    """Whether the task's conditions say that the forge is away."""
+    """Return whether the task's conditions say that the forge is away."""
     return "ForgeUnavailable" in {stage.condition(key, kind).get("reason") for kind in ("Accepted", COMMITTED)}
 
 

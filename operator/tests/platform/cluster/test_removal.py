@@ -115,7 +115,7 @@ def test_a_changed_deployment_is_as_its_chart_renders_it_again(platform: Platfor
 
 
 def alone(platform: Platform) -> bool:
-    """Whether the release has one pod that runs, with its own container alone."""
+    """Return whether the release has one pod that runs, with its own container alone."""
     listed = platform.get("-n", AGENT, "pods", "-l", f"app.kubernetes.io/instance={RELEASE}")["items"]
     names = [[one["name"] for one in pod["spec"]["containers"]] for pod in listed]
     return platform.available(AGENT, RELEASE) and names == [[own_container(platform)["name"]]]

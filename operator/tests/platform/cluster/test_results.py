@@ -138,7 +138,7 @@ def seeing(stage: Stage) -> Iterator[None]:
 
 
 def is_known(platform: Platform, chart: str, version: str) -> bool:
-    """Whether the manager has read a catalogue with this version: tasks before that get the one before."""
+    """Return whether the manager has read a catalogue with this version: tasks before that get the one before."""
     entries = platform.access.service_json("manager", "catalogue", 8080)["entries"]
     return any((entry["name"], entry["version"]) == (chart, version) for entry in entries if "version" in entry)
 

@@ -149,7 +149,7 @@ def test_a_version_that_fails_in_the_field_is_taken_back(platform: Platform, sta
 
 
 def is_ready(platform: Platform, node: str) -> bool:
-    """Whether Kubernetes says that the node is ready."""
+    """Return whether Kubernetes says that the node is ready."""
     conditions = platform.get("node", node)["status"]["conditions"]
     return any(one["type"] == "Ready" and one["status"] == "True" for one in conditions)
 

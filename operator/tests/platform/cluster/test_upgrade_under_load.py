@@ -108,7 +108,7 @@ def lives(pods: Sequence[Mapping[str, Any]]) -> dict[str, Life]:
 
 
 def recorder_runs(platform: Platform) -> bool:
-    """Whether the recorder of the encounter is ready."""
+    """Return whether the recorder of the encounter is ready."""
     return any(
         pod_ready(pod) for pod in platform.access.pods(CLOUD) if (pod.metadata.labels or {}).get(INSTANCE) == RECORDER
     )

@@ -80,7 +80,7 @@ def received_now(setting: DataPath) -> Received:
 
 
 def configured(setting: DataPath, agent: str) -> int:
-    """When the agent's bridge took its present settings, ns."""
+    """The time at which the agent's bridge took its present settings, ns."""
     lines = [json.loads(line) for line in (setting.folder / agent / "mqtt-bridge.log").read_text().splitlines()]
     last = [line["time"] for line in lines if line["event"] == "configured"][-1]
     return int(datetime.fromisoformat(last).timestamp() * 1000 + 1) * 1_000_000

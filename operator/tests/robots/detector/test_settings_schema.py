@@ -89,7 +89,7 @@ def reaction(kind: str, **more: Any) -> dict[str, Any]:
 
 
 def verdicts(settings: dict[str, Any]) -> tuple[bool, bool]:
-    """Whether the schema accepts it, and whether the reader does."""
+    """Return whether the schema accepts it, and whether the reader does."""
     try:
         read_detector_settings({"name": "cloud-0/detector", **settings}, "config.yaml")
         read = True

@@ -1,4 +1,4 @@
-"""When a subscription that was refused is asked for again."""
+"""Subscriptions that were refused: when they are asked for again."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ def test_recorders_that_write_much_at_once_do_not_stop_the_database(database_ser
 
 
 class Answers(monitoring.CommandListener):
-    """How many bytes of samples each answer had."""
+    """The bytes of samples of each answer."""
 
     def __init__(self) -> None:
         self.sizes: list[int] = []

@@ -116,7 +116,7 @@ class Site:
         until(lambda: all(self.stored().values()), "every topic is stored", state=self.told)
 
     def stored(self) -> dict[str, int]:
-        """How many messages of each topic are stored."""
+        """Topic -> the number of its messages that are stored."""
         places = {name: "segments_index" if name.endswith("cloud") else "samples" for name in TOPICS}
         return {name: self.database[place].count_documents({"topic": name}) for name, place in places.items()}
 

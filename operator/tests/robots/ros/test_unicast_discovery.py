@@ -145,7 +145,7 @@ def test_a_problem_is_logged_once_until_it_is_another_one_or_ends(
 
 
 def told(peer: socket.socket, source: str, packet: bytes) -> bool:
-    """Whether the peer has a packet that somebody at this address sent to the group."""
+    """Return whether the peer has a packet that somebody at this address sent to the group."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as announcing:
         announcing.bind((source, 0))
         announcing.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))

@@ -10,7 +10,7 @@ from tests.stages.delivery.manager_in_memory import Stage
 
 @pytest.fixture
 def stage(tmp_path: Path) -> Stage:
-    """After the initial configuration is observed."""
+    """A stage on which the initial configuration is observed."""
     made = Stage(tmp_path)
     made.settle()
     return made

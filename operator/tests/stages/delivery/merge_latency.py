@@ -47,7 +47,7 @@ VEHICLES = ["vehicle-00", "vehicle-01"]
 
 
 def until(condition: Callable[[], object], what: str, seconds_max: float = WAIT_SECONDS_MAX) -> None:
-    """Until it is true; polls often, since what it waits for is being measured."""
+    """Wait until it is true; polls often, since what it waits for is being measured."""
     end = time.monotonic() + seconds_max
     while not condition():
         if time.monotonic() > end:

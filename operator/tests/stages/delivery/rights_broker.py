@@ -122,7 +122,7 @@ def run_mosquitto(configuration: Path, port: int, log: Path) -> subprocess.Popen
 
 
 def answers(port: int) -> bool:
-    """Whether somebody takes connections there."""
+    """Return whether somebody takes connections there."""
     with contextlib.suppress(OSError), socket.create_connection(("127.0.0.1", port), 1):
         return True
     return False

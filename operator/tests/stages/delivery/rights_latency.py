@@ -50,7 +50,7 @@ LINK = texts(bridge(LISTENER, POSE_01))
 
 
 def until(condition: Callable[[], object], what: str) -> None:
-    """Until it is true; polls often, since what it waits for is being measured."""
+    """Wait until it is true; polls often, since what it waits for is being measured."""
     end = time.monotonic() + WAIT_SECONDS_MAX
     while not condition():
         if time.monotonic() > end:
@@ -101,7 +101,7 @@ class Listener:
         return time.monotonic()
 
     def last_heard(self, applied: Callable[[], bool]) -> float:
-        """When the last message came: nothing comes any more once the broker has the table."""
+        """The time of the last message: nothing comes any more once the broker has the table."""
         known, at = len(self._connection.received), time.monotonic()
         end = at + WAIT_SECONDS_MAX
         while not applied() or time.monotonic() - at < QUIET_SECONDS:
@@ -123,7 +123,7 @@ class AnnouncedRights(process.RightsProcess):
         super()._deliver(delivery)
 
     def applied(self, commit: str) -> bool:
-        """Whether the broker has the table of that commit."""
+        """Return whether the broker has the table of that commit."""
         return self.keeper.applied == commit
 
 

@@ -124,7 +124,7 @@ class Storm:
         self.api.task(f"storm-{number}", **asked, reason=f"demand {number}")
 
     def committed(self) -> int:
-        """How many tasks say that they are on main."""
+        """The number of tasks that say that they are on main."""
         tasks = json.loads(call(self.api.client, "GET", TASKS, [("limit", "2000")]).data)["items"]
         return sum(is_committed(task) for task in tasks)
 
@@ -162,7 +162,7 @@ class Storm:
 
 
 def alive(pod: Pod) -> bool:
-    """Whether its port answers."""
+    """Return whether its port answers."""
     with suppress(httpx.HTTPError):
         answer = pod.get("/livez")
         return answer is not None and answer.is_success
@@ -170,13 +170,13 @@ def alive(pod: Pod) -> bool:
 
 
 def is_committed(task: dict[str, Any]) -> bool:
-    """Whether the task's status says that it is on main."""
+    """Return whether the task's status says that it is on main."""
     conditions = task.get("status", {}).get("conditions", [])
     return any(one["type"] == "Committed" and one["status"] == "True" for one in conditions)
 
 
 def decisions(pod: Pod) -> float:
-    """How many decisions the process has made."""
+    """The number of decisions that the process has made."""
     answer = pod.get("/metrics")
     families = text_string_to_metric_families(answer.text if answer is not None else "")
     values = {sample.name: sample.value for family in families for sample in family.samples}

@@ -127,7 +127,7 @@ class EncryptedForge:
         return lambda: self.shows_another_than(before)
 
     def shows_another_than(self, before: bytes) -> bool:
-        """Whether a client sees another certificate than `before`; False while the forge ends what looks."""
+        """Return whether a client sees another certificate than `before`; False while the forge ends what looks."""
         try:
             return self.shown() != before
         except OSError:

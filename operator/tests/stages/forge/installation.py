@@ -171,7 +171,7 @@ class ApplicationSetController:
         self.url = f"http://127.0.0.1:{self._server.server_address[1]}/api/webhook"
 
     def announced(self, commit: str) -> bool:
-        """Whether a genuine hook named `commit` as main's new tip."""
+        """Return whether a genuine hook named `commit` as main's new tip."""
         return any(event["after"] == commit for _, event in self.accepted)
 
     def stop(self) -> None:

@@ -42,7 +42,7 @@ class Table:
     hooks: dict[str, str] = field(default_factory=dict)
 
     def judge(self, hook: str, packet: Packet) -> bool:
-        """Whether a packet passes a hook."""
+        """Return whether a packet passes a hook."""
         return self._run(self.hooks[hook], packet) != DROP
 
     def _run(self, chain: str, packet: Packet) -> str:
@@ -161,7 +161,7 @@ class Network:
     nodes: Mapping[str, Mapping[str, Table]]
 
     def passes(self, source: PlacedPod, target: PlacedPod, protocol: str, port: int) -> bool:
-        """Whether the first packet of a connection comes from one to the other."""
+        """Return whether the first packet of a connection comes from one to the other."""
         packet = Packet(source.peer.address, target.peer.address, protocol.lower(), port, source.port, target.port)
         if source.node and not self.nodes[source.node]["bridge"].judge("prerouting", packet):
             return False
@@ -176,7 +176,7 @@ class Network:
         )
 
     def heard(self, source: PlacedPod, group: str, target: PlacedPod, port: int) -> bool:
-        """Whether a datagram to a group comes to another pod of the node."""
+        """Return whether a datagram to a group comes to another pod of the node."""
         packet = Packet(source.peer.address, group, "udp", port, source.port, target.port, to_many=True)
         between = self.nodes[source.node]
         routed = replace(packet, came_by=BRIDGE, goes_by=BRIDGE)
@@ -187,7 +187,7 @@ class Network:
         )
 
     def ends_at_the_node(self, source: PlacedPod, address: str, port: int) -> bool:
-        """Whether a pod reaches an address of its own node."""
+        """Return whether a pod reaches an address of its own node."""
         packet = Packet(source.peer.address, address, "tcp", port, source.port)
         between = self.nodes[source.node]
         return between["bridge"].judge("prerouting", packet) and between["inet"].judge(

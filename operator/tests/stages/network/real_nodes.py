@@ -130,7 +130,7 @@ class RealNodes:
             enforcement.apply(self.holder(node), book.node(attached))
 
     def drops(self) -> Mapping[str, int]:
-        """How many packets were dropped, by the words beside the rule."""
+        """The number of packets that were dropped, by the words beside the rule."""
         counts: dict[str, int] = {}
         for node in self.nodes:
             for number, words in DROPPED.findall(self.inside(node, "nft", "list", "ruleset")):

@@ -34,7 +34,7 @@ class Prometheus:
         return answer.json()["data"]
 
     def ready(self) -> bool:
-        """Whether it answers."""
+        """Return whether it answers."""
         try:
             return http_calls.get(f"{self.url}/-/ready", timeout=5).status_code == 200
         except httpx.TransportError:

@@ -104,14 +104,14 @@ class Platform:
         return dict(json.loads(text)) if text else {}
 
     def available(self, namespace: str, name: str) -> bool:
-        """Whether all replicas of a Deployment are there, as last asked for."""
+        """Return whether all replicas of a Deployment are there, as last asked for."""
         deployment = self.deployment(namespace, name)
         status = deployment.get("status", {})
         seen = status.get("observedGeneration") == deployment.get("metadata", {}).get("generation")
         return bool(deployment) and seen and status.get("availableReplicas", 0) == deployment["spec"]["replicas"] > 0
 
     def settled(self) -> bool:
-        """Whether everything that main asks for runs: Applications Synced and Healthy."""
+        """Return whether everything that main asks for runs: Applications Synced and Healthy."""
         states = [application.get("status", {}) for application in self.access.applications().values()]
         seen = [(s.get("sync", {}).get("status"), s.get("health", {}).get("status")) for s in states]
         return bool(seen) and all(state == ("Synced", "Healthy") for state in seen)

@@ -77,7 +77,7 @@ def pool(platform: Platform) -> list[str]:
 
 
 def await_empty(platform: Platform) -> None:
-    """Until no pod, Deployment, Secret or ConfigMap of a run is left in any test namespace."""
+    """Wait until no pod, Deployment, Secret or ConfigMap of a run is left in any test namespace."""
     namespaces = pool(platform)
     assert namespaces
 

@@ -79,6 +79,6 @@ def conditions(found: Mapping[str, Any]) -> str:
 
 
 def reached_nothing(platform: Platform) -> bool:
-    """Whether nothing of these releases is in the cluster."""
+    """Return whether nothing of these releases is in the cluster."""
     texts = [platform.kubectl("-n", AGENT, "get", "configmap", name, "--ignore-not-found") for name in NAMES]
     return not any(texts) and platform.kubectl("get", "clusterrole", "everything-test", "--ignore-not-found") == ""

@@ -47,7 +47,7 @@ class DatabaseServer:
 
     @property
     def tls(self) -> ServerVerification | None:
-        """How it proves who it is."""
+        """The authority and the name by which clients verify it; None when it does not encrypt."""
         return ServerVerification(self.folder / "ca.crt", self.name) if self.issued else None
 
     def start(self) -> None:

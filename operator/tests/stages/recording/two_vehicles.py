@@ -97,7 +97,7 @@ class RecordedPath(DataPath):
         return (path for path in self._ledger_files() if '"end"' in path.read_text())
 
     def _drained(self) -> bool:
-        """Whether the last message of each topic is in the database."""
+        """Return whether the last message of each topic is in the database."""
         last = {topic: lines[-1].stamp for topic, lines in self.ledgers().items()}
         cloud = CLOUD.format(agent="vehicle_00")
         poses = [POSE.format(agent=agent.replace("-", "_")) for agent in AGENTS]
@@ -169,7 +169,7 @@ class RecordedPath(DataPath):
 
 
 def answers(address: str) -> bool:
-    """Whether the probe of a pod says that it is ready."""
+    """Return whether the probe of a pod says that it is ready."""
     connection = http.client.HTTPConnection(address, 8081, timeout=1)
     try:
         connection.request("GET", "/readyz")

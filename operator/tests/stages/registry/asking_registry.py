@@ -61,7 +61,7 @@ class AskingRegistry:
         return f"repository:{match['name']}:{actions}" if match else ""
 
     def lets(self, method: str, path: str, authorisation: str) -> bool:
-        """Whether the request may be answered."""
+        """Return whether the request may be answered."""
         if self.basic and authorisation == ACCOUNT:
             return True
         if not self.tokens and not self.basic:

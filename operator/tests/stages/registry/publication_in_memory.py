@@ -115,7 +115,7 @@ def status_of(stage: PublicationStage, packed: PackedChart) -> dict[str, Any]:
 
 
 def assured(stage: PublicationStage, packed: PackedChart) -> bool:
-    """Whether the catalogue's evidence stands as a manager sees it."""
+    """Return whether the catalogue's evidence stands as a manager sees it."""
     artefact = Artefact(packed.name, packed.version, packed.digest, "linux/amd64")
     files = {p: t for p, t in stage.main().items() if p.startswith(artefact.folder)}
     statements = {

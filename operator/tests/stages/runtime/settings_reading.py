@@ -1,4 +1,4 @@
-"""When a process has read its settings, as a test says."""
+"""A source of settings that a process has read when a test says so."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ def in_map(agent: str, x: float, y: float) -> tuple[float, float]:
 
 
 def hidden_among(agent: str, places: list[tuple[float, float]]) -> bool:
-    """Whether the hidden vehicle is one of the places that an agent's lidar has in its own frame."""
+    """Return whether the hidden vehicle is one of the places that an agent's lidar has in its own frame."""
     return any(math.dist(in_map(agent, x, y), (HIDDEN.x, HIDDEN.y)) < NEAR_M for x, y in places)
 
 

@@ -261,7 +261,7 @@ def test_a_position_that_has_expired_is_listed_anew(api_server: ApiServerProcess
 
 
 def serves_tasks(api: Api) -> bool:
-    """Whether the API server, which says before that it is ready, has opened the storage of tasks."""
+    """Return whether the API server, which says before that it is ready, has opened the storage of tasks."""
     try:
         api.get(TASKS)
     except UnavailableError:

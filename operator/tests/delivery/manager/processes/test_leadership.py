@@ -106,7 +106,7 @@ def committed(manager_api: Api, name: str) -> bool:
 
 
 def delivered(pod: Pod, secret: str) -> bool:
-    """Whether a push event, as the gate sends it, is taken."""
+    """Return whether a push event, as the gate sends it, is taken."""
     relay = PushRelay(f"{pod.url}/webhook", secret.encode(), "robotkube/deployment")
     try:
         return relay.hook("0" * 40, "1" * 40)

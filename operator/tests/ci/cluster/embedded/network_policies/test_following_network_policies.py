@@ -68,7 +68,7 @@ class Cluster:
             raise SetUpError(self.failing[who])
 
     def knows(self, node: str, link: PodLink) -> bool:
-        """Whether the node's rules let the pod send at all."""
+        """Return whether the node's rules let the pod send at all."""
         return f'"{link.port}" . {link.address}' in self.rules[node]
 
     def step(self, changed: bool = True) -> list[str]:

@@ -118,11 +118,11 @@ class Enforced:
         return write_result(self.folders.node(pod.node) / "cni-state" / RESULTS, link)
 
     def known(self, pod: PlacedPod) -> bool:
-        """Whether the pod has rules."""
+        """Return whether the pod has rules."""
         return f'"{pod.port}" . {pod.peer.address}' in self.nodes.inside(pod.node, "nft", "list", "ruleset")
 
     def reach(self, source: PlacedPod, target: PlacedPod) -> bool:
-        """Whether one pod reaches another."""
+        """Return whether one pod reaches another."""
         return self.nodes.reaches(key(source), key(target), target.peer.address, HTTP)
 
 

@@ -240,7 +240,7 @@ def test_a_pod_that_nobody_knows_is_cut_off(nodes: RealNodes) -> None:
 
 
 def silent(nodes: RealNodes, source: PlacedPod, address: str) -> bool:
-    """Whether what a pod sends to an address is dropped where it leaves the pod."""
+    """Return whether what a pod sends to an address is dropped where it leaves the pod."""
     before = nodes.drops().get(STRANGE, 0)
     with nodes.open(key(source), lambda: socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as sender:
         sender.sendto(b"first", (address, 8080))
