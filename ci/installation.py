@@ -202,7 +202,7 @@ class Installer:
         except SetUpError as error:
             states = "\n".join(map(self.state, namespaces))
             raise SetUpError(f"{error}\n{states}") from error
-        self.bind_claims()
+        self.bind_volume_claims()
         for namespace in namespaces:
             self.rollout(namespace)
 
@@ -213,14 +213,14 @@ class Installer:
         address, _, port = address_and_port.strip().rpartition(":")
         return ServicePort(NAMESPACE, "console", address, int(port)) if address else None
 
-    def bind_claims(self) -> None:
+    def bind_volume_claims(self) -> None:
         """Bind volume claims of agents with one node now. Left to the first pod, the scheduler checks once in a second
         whether the volume that it chose is bound: the first event's recorder started that much later."""
-        claims, volumes = (
+        volume_claims, volumes = (
             json.loads(self.kubectl("get", kind, *more, "-o", "json"))["items"]
             for kind, *more in (("persistentvolumeclaims", "-A", "-l", AGENT), ("persistentvolumes",))
         )
-        bound = chosen_volumes(claims, volumes)
+        bound = chosen_volumes(volume_claims, volumes)
         if bound:
             text = yaml.safe_dump({"apiVersion": "v1", "kind": "List", "items": bound})
             self.kubectl("apply", "--server-side", "--field-manager=robotkube-installation", "-f", "-", text=text)
@@ -288,17 +288,19 @@ def moved(reference: str, registry: str) -> str:
     return f"{registry}/{reference.rpartition('/')[2]}" if registry else reference
 
 
-def chosen_volumes(claims: Sequence[Mapping[str, Any]], volumes: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def chosen_volumes(
+    volume_claims: Sequence[Mapping[str, Any]], volumes: Sequence[Mapping[str, Any]]
+) -> list[dict[str, Any]]:
     """Volumes to apply so that each waiting claim gets a free one of its agent, if all of these are on one node."""
     free = [one for one in volumes if one["status"].get("phase") == "Available" and not one["spec"].get("claimRef")]
     chosen = []
-    for claim in (one for one in claims if one["status"].get("phase") == "Pending"):
-        agent = claim["metadata"]["labels"][AGENT]
+    for volume_claim in (one for one in volume_claims if one["status"].get("phase") == "Pending"):
+        agent = volume_claim["metadata"]["labels"][AGENT]
         own = [one for one in free if one["metadata"].get("labels", {}).get(AGENT) == agent]
         if len({json.dumps(one["spec"].get("nodeAffinity"), sort_keys=True) for one in own}) != 1:
             continue
         free.remove(own[0])
-        place = {"namespace": claim["metadata"]["namespace"], "name": claim["metadata"]["name"]}
+        place = {"namespace": volume_claim["metadata"]["namespace"], "name": volume_claim["metadata"]["name"]}
         reference = {"apiVersion": "v1", "kind": "PersistentVolumeClaim", **place}
         volume = {"apiVersion": "v1", "kind": "PersistentVolume", "metadata": {"name": own[0]["metadata"]["name"]}}
         chosen.append({**volume, "spec": {"claimRef": reference}})

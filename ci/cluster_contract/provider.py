@@ -78,19 +78,19 @@ def directly(service: ServicePort) -> tuple[str, int]:
 class Volumes(Protocol):
     """Files in volume claims. Paths are relative to the claim's volume."""
 
-    def use(self, claims: Sequence[tuple[str, str]]) -> None:
+    def use(self, volume_claims: Sequence[tuple[str, str]]) -> None:
         """Make the volumes of these claims (namespace, name) reachable; SetUpError says what is in the way."""
 
-    def place(self, claim: tuple[str, str], folder: Path) -> bool:
+    def place(self, volume_claim: tuple[str, str], folder: Path) -> bool:
         """Put a folder of this machine into a claim under its own name; True when another one had been there."""
 
-    def make(self, claim: tuple[str, str], folder: str) -> None:
+    def make(self, volume_claim: tuple[str, str], folder: str) -> None:
         """Make a folder in a claim, which pods of the platform's user may write to."""
 
-    def fetch(self, claim: tuple[str, str], path: str) -> Path:
+    def fetch(self, volume_claim: tuple[str, str], path: str) -> Path:
         """A file of a claim, as a file of this machine with what is in it now; SetUpError when it cannot be read."""
 
-    def end_of(self, claim: tuple[str, str], path: str, length: int) -> bytes:
+    def end_of(self, volume_claim: tuple[str, str], path: str, length: int) -> bytes:
         """The last bytes of a file, so many at most; none when there is no such file."""
 
 

@@ -17,7 +17,7 @@ AGENT = "robotkube.io/agent"  # label of volumes
 OWNER = 10001  # the user of the platform's pods
 BIND_SECONDS_MAX = 30.0
 POLL_SECONDS = 0.5
-Claim = tuple[str, str]
+VolumeClaim = tuple[str, str]
 
 
 class DiskVolumes:
@@ -25,42 +25,42 @@ class DiskVolumes:
 
     def __init__(self, api: Api) -> None:
         self._api = api
-        self._folders: dict[Claim, Path] = {}
+        self._folders: dict[VolumeClaim, Path] = {}
 
-    def use(self, claims: Sequence[Claim]) -> None:
+    def use(self, volume_claims: Sequence[VolumeClaim]) -> None:
         """See Volumes.use: claims that no pod has used yet get a free volume of their agent's node, whose name is that
         of the namespace."""
-        for claim in claims:
-            self._bind(claim)
-        for claim in claims:
-            self._wait_bound(claim)
+        for volume_claim in volume_claims:
+            self._bind(volume_claim)
+        for volume_claim in volume_claims:
+            self._wait_bound(volume_claim)
 
-    def place(self, claim: Claim, folder: Path) -> bool:
+    def place(self, volume_claim: VolumeClaim, folder: Path) -> bool:
         """See Volumes.place: by hard links, or copies over file systems."""
-        return place(folder, self._volume(claim) / folder.name)
+        return place(folder, self._volume(volume_claim) / folder.name)
 
-    def make(self, claim: Claim, folder: str) -> None:
+    def make(self, volume_claim: VolumeClaim, folder: str) -> None:
         """See Volumes.make."""
-        made = self._volume(claim) / folder
+        made = self._volume(volume_claim) / folder
         made.mkdir(exist_ok=True)
         os.chown(made, OWNER, OWNER)
 
-    def fetch(self, claim: Claim, path: str) -> Path:
+    def fetch(self, volume_claim: VolumeClaim, path: str) -> Path:
         """See Volumes.fetch: the file itself."""
-        return self._volume(claim) / path
+        return self._volume(volume_claim) / path
 
-    def end_of(self, claim: Claim, path: str, length: int) -> bytes:
+    def end_of(self, volume_claim: VolumeClaim, path: str, length: int) -> bytes:
         """See Volumes.end_of."""
-        return end_of(self._volume(claim) / path, length)
+        return end_of(self._volume(volume_claim) / path, length)
 
-    def _volume(self, claim: Claim) -> Path:
-        if claim not in self._folders:
-            self._folders[claim] = first_objects.volume_path(self._api, *claim)
-        return self._folders[claim]
+    def _volume(self, volume_claim: VolumeClaim) -> Path:
+        if volume_claim not in self._folders:
+            self._folders[volume_claim] = first_objects.volume_path(self._api, *volume_claim)
+        return self._folders[volume_claim]
 
-    def _bind(self, claim: Claim) -> None:
-        namespace, name = claim
-        if self._read(claim)["spec"].get("volumeName"):
+    def _bind(self, volume_claim: VolumeClaim) -> None:
+        namespace, name = volume_claim
+        if self._read(volume_claim)["spec"].get("volumeName"):
             return
         volumes = self._api.get(f"{first_objects.VOLUMES}?labelSelector={AGENT}%3D{namespace}")["items"]
         free = [volume for volume in volumes if not volume["spec"].get("claimRef")]
@@ -73,17 +73,17 @@ class DiskVolumes:
         reference = {"namespace": namespace, "name": name, "apiVersion": "v1", "kind": "PersistentVolumeClaim"}
         self._api.merge(f"{first_objects.VOLUMES}/{free[0]['metadata']['name']}", {"spec": {"claimRef": reference}})
 
-    def _wait_bound(self, claim: Claim) -> None:
+    def _wait_bound(self, volume_claim: VolumeClaim) -> None:
         end = time.monotonic() + BIND_SECONDS_MAX
-        while self._read(claim).get("status", {}).get("phase") != "Bound":
+        while self._read(volume_claim).get("status", {}).get("phase") != "Bound":
             if time.monotonic() > end:
                 raise SetUpError(
-                    f"volume claim {'/'.join(claim)}: no volume was bound to it within {BIND_SECONDS_MAX:.0f} s"
+                    f"volume claim {'/'.join(volume_claim)}: no volume was bound to it within {BIND_SECONDS_MAX:.0f} s"
                 )
             time.sleep(POLL_SECONDS)
 
-    def _read(self, claim: Claim) -> dict[str, Any]:
-        namespace, name = claim
+    def _read(self, volume_claim: VolumeClaim) -> dict[str, Any]:
+        namespace, name = volume_claim
         return self._api.get(f"/api/v1/namespaces/{namespace}/persistentvolumeclaims/{name}")
 
 

@@ -115,8 +115,8 @@ class GivenNodes:
     def namespace(self, name: str) -> Mapping[str, Any]:
         """A namespace; empty when there is none."""
         read = client.CoreV1Api(self._api).read_namespace
-        found = self._call(f"Namespace {name}", read, name, passing=NOT_FOUND)
-        return self._api.sanitize_for_serialization(found) or {}
+        namespace = self._call(f"Namespace {name}", read, name, passing=NOT_FOUND)
+        return self._api.sanitize_for_serialization(namespace) or {}
 
     def api_servers(self) -> frozenset[tuple[str, int]]:
         """Address and port of each API server to which the Service `kubernetes` leads."""

@@ -232,10 +232,10 @@ class Existing(ReachedThroughApiServer):
 
     def _to_install(self) -> list[str]:
         """What an installation adds, in words; nothing once it has begun. InputError where somebody else has one."""
-        found = self._nodes.namespace(NAMESPACE)
-        if self._is_added(found):
+        namespace = self._nodes.namespace(NAMESPACE)
+        if self._is_added(namespace):
             return []
-        if found:
+        if namespace:
             raise InputError(
                 f"context {self.name}: namespace {NAMESPACE} is there and was not made here; its platform is upgraded "
                 "with helm, or taken away first"

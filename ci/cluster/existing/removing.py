@@ -54,8 +54,8 @@ def goes(installer: Installer, added: Mapping[str, str]) -> str:
     namespaces = _namespaces(installer, _kept_by_helm(installer), added)
     volume_claims = json.loads(installer.kubectl("get", "persistentvolumeclaims", "-A", "-o", "json"))["items"]
     places = ((one["metadata"]["namespace"], one["metadata"]["name"]) for one in volume_claims)
-    claims = [f"{namespace}/{name}" for namespace, name in places if namespace in namespaces]
-    lost = f", and what is in volume claims {', '.join(claims)}" if claims else ""
+    names = [f"{namespace}/{name}" for namespace, name in places if namespace in namespaces]
+    lost = f", and what is in volume claims {', '.join(names)}" if names else ""
     return f"what was installed goes, with namespaces {', '.join(namespaces)}{lost}"
 
 

@@ -22,12 +22,12 @@ POLL_SECONDS = 2.0
 
 def folder() -> Path:
     """The folder from which k3s imports; InputError where this process cannot write to it."""
-    found = named_folder()
-    if _may_write(found) and found.is_dir():
-        return found
+    named = named_folder()
+    if _may_write(named) and named.is_dir():
+        return named
     raise InputError(
-        f"{VARIABLE}={found}: is no folder that this process can write to; make it and run this as root (mkdir -p "
-        f"{found}), name the folder from which this k3s imports, or bring the images to a registry: REGISTRY=HOST/PATH"
+        f"{VARIABLE}={named}: is no folder that this process can write to; make it and run this as root (mkdir -p "
+        f"{named}), name the folder from which this k3s imports, or bring the images to a registry: REGISTRY=HOST/PATH"
     )
 
 
@@ -45,8 +45,8 @@ def archive(images: Sequence[Image]) -> Path:
 def archives() -> tuple[Path, ...]:
     """Those that were put there, by this process or another, also what was left half written; none where it cannot
     look."""
-    found = named_folder()
-    return tuple(sorted(found.glob(f"{NAME.format('*')}*"))) if _may_write(found) else ()
+    named = named_folder()
+    return tuple(sorted(named.glob(f"{NAME.format('*')}*"))) if _may_write(named) else ()
 
 
 def hidden() -> str:

@@ -38,7 +38,7 @@ class K3s(Existing):
 
     @property
     def authority_file(self) -> Path:
-        """The file of the authority of that registry's certificate, for each Node, where it is none of the usual ones."""
+        """The file of that registry's authority, for each Node, where it is none of the usual ones."""
         return self.work() / Path(registries.AUTHORITY).name
 
     def take(self) -> tuple[str, ...]:

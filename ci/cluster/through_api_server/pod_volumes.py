@@ -23,7 +23,7 @@ READY_SECONDS_MAX = 180
 ANSWER_SECONDS_MAX = 60
 COPY_SECONDS_MAX = 900
 OWNER = 10001  # the user of the platform's pods
-Claim = tuple[str, str]
+VolumeClaim = tuple[str, str]
 
 WAITING = f"import time\ntime.sleep({LIFE_SECONDS})"
 # What is below a folder: names, sizes, seconds of the last change. Copies keep these, so they tell.
@@ -71,17 +71,17 @@ class PodVolumes:
     guests: Mapping[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._used: set[Claim] = set()
+        self._used: set[VolumeClaim] = set()
 
-    def use(self, claims: Sequence[Claim]) -> None:
+    def use(self, volume_claims: Sequence[VolumeClaim]) -> None:
         """See Volumes.use: one pod each, on a Node of the agent whose namespace it is. The first pod of a claim is what
         gives it a volume, where that waits for one."""
-        new = [claim for claim in claims if claim not in self._used]
+        new = [volume_claim for volume_claim in volume_claims if volume_claim not in self._used]
         if not new:
             return
         if not self._used:
             self._remove()  # those of a run that was killed
-        pods = {"apiVersion": "v1", "kind": "List", "items": [self._pod(claim) for claim in new]}
+        pods = {"apiVersion": "v1", "kind": "List", "items": [self._pod(volume_claim) for volume_claim in new]}
         with tempfile.TemporaryFile() as file:
             file.write(json.dumps(pods).encode())
             file.seek(0)
@@ -90,10 +90,10 @@ class PodVolumes:
         for namespace, name in new:
             self._wait_ready(namespace, pod_name(name))
 
-    def place(self, claim: Claim, folder: Path) -> bool:
+    def place(self, volume_claim: VolumeClaim, folder: Path) -> bool:
         """See Volumes.place."""
         target = f"{FOLDER}/{folder.name}"
-        there = json.loads(self._inside(claim, LISTING, target))
+        there = json.loads(self._inside(volume_claim, LISTING, target))
         here = {file.name: [file.stat().st_size, int(file.stat().st_mtime)] for file in folder.iterdir()}
         if there == here:
             return False
@@ -102,26 +102,26 @@ class PodVolumes:
         try:
             _pack(folder, archive)
             with archive.open("rb") as file:
-                self._inside(claim, UNPACKING, target, source=file)
+                self._inside(volume_claim, UNPACKING, target, source=file)
         finally:
             archive.unlink(missing_ok=True)
         return there is not None
 
-    def make(self, claim: Claim, folder: str) -> None:
+    def make(self, volume_claim: VolumeClaim, folder: str) -> None:
         """See Volumes.make."""
-        self._inside(claim, MAKING, f"{FOLDER}/{folder}")
+        self._inside(volume_claim, MAKING, f"{FOLDER}/{folder}")
 
-    def fetch(self, claim: Claim, path: str) -> Path:
+    def fetch(self, volume_claim: VolumeClaim, path: str) -> Path:
         """See Volumes.fetch: a copy."""
-        copy = self._copies.joinpath(*claim, path)
+        copy = self._copies.joinpath(*volume_claim, path)
         copy.parent.mkdir(parents=True, exist_ok=True)
         with copy.open("wb") as file:
-            self._inside(claim, READING, f"{FOLDER}/{path}", copy=file)
+            self._inside(volume_claim, READING, f"{FOLDER}/{path}", copy=file)
         return copy
 
-    def end_of(self, claim: Claim, path: str, length: int) -> bytes:
+    def end_of(self, volume_claim: VolumeClaim, path: str, length: int) -> bytes:
         """See Volumes.end_of."""
-        return self._inside(claim, ENDING, f"{FOLDER}/{path}", str(length))
+        return self._inside(volume_claim, ENDING, f"{FOLDER}/{path}", str(length))
 
     def end(self) -> None:
         """Take the pods and the copies away."""
@@ -139,14 +139,14 @@ class PodVolumes:
 
     def _inside(
         self,
-        claim: Claim,
+        volume_claim: VolumeClaim,
         program: str,
         *arguments: str,
         source: IO[bytes] | None = None,
         copy: IO[bytes] | None = None,
     ) -> bytes:
         """What a program prints in the pod of a claim, into `copy` where there is one; it reads `source`."""
-        namespace, name = claim
+        namespace, name = volume_claim
         command = ["exec", *(["-i"] if source else []), "-n", namespace, pod_name(name), "--", "python3", "-c", program]
         what = f"volume claim {namespace}/{name}, {arguments[0]}"
         return _done([*self.kubectl, *command, *arguments], what, COPY_SECONDS_MAX, source, copy)
@@ -163,8 +163,8 @@ class PodVolumes:
             events = self._run("get", "events", "-n", namespace, about).decode(errors="replace")
             raise SetUpError(f"{error}\n{events}") from error
 
-    def _pod(self, claim: Claim) -> dict[str, Any]:
-        namespace, name = claim
+    def _pod(self, volume_claim: VolumeClaim) -> dict[str, Any]:
+        namespace, name = volume_claim
         alone = {"allowPrivilegeEscalation": False, "readOnlyRootFilesystem": True, "capabilities": {"drop": ["ALL"]}}
         container = {
             "name": OF_VOLUMES,
@@ -195,9 +195,9 @@ class PodVolumes:
         return {"apiVersion": "v1", "kind": "Pod", "metadata": metadata, "spec": spec}
 
 
-def pod_name(claim: str) -> str:
+def pod_name(volume_claim: str) -> str:
     """The name of the pod that mounts a claim."""
-    return f"robotkube-volume-{claim}"
+    return f"robotkube-volume-{volume_claim}"
 
 
 def _pack(folder: Path, archive: Path) -> None:

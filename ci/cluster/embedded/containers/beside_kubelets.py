@@ -106,12 +106,12 @@ def _sandboxes(own: Iterable[Container], started: Iterable[Container], node: Nod
     """The sandboxes that the kubelet made: one with started containers in it is older than all of them."""
     sandboxes = [one for one in own if one.kind == SANDBOX]
     oldest = {one.sandbox: one.made_ns for one in sorted(started, key=lambda one: -one.made_ns)}
-    claims = Counter(one.pod_uid for one in sandboxes)
+    sandboxes_of_pod = Counter(one.pod_uid for one in sandboxes)
     return [
         one
         for one in sandboxes
         if one.made_ns <= oldest.get(one.id, -1)
-        or (one.id not in oldest and claims[one.pod_uid] == 1 and _is_recorded(one, node))
+        or (one.id not in oldest and sandboxes_of_pod[one.pod_uid] == 1 and _is_recorded(one, node))
     ]
 
 
@@ -127,8 +127,8 @@ def _why(one: Container) -> str:
     pod = f"pod {one.pod_namespace}/{one.pod}"
     if one.kind == SANDBOX:
         return f"the kubelet made no such sandbox, though it says to be that of {pod}"
-    claim = f", though it says to be container {one.name} of {pod}" if one.pod else ""
-    return f"the kubelet started no such container{claim}"
+    declared = f", though it says to be container {one.name} of {pod}" if one.pod else ""
+    return f"the kubelet started no such container{declared}"
 
 
 @dataclass(frozen=True)

@@ -114,12 +114,12 @@ def _container(seen: Seen) -> Container:
         records = folder.parents[2] / RECORDS / namespace / name
         made = (records / MADE).exists()  # asked first: the other one is there before it
         waits = (records / WAITS).exists()
-        return Container(namespace, name, made_ns, **_claims(document), waits=waits, started=made and not waits)
+        return Container(namespace, name, made_ns, **_declared(document), waits=waits, started=made and not waits)
     except (FileNotFoundError, ValueError, KeyError, TypeError, AttributeError, IndexError):
         return Container(namespace, name, made_ns)
 
 
-def _claims(document: Mapping[str, Any]) -> dict[str, Any]:
+def _declared(document: Mapping[str, Any]) -> dict[str, Any]:
     """What an OCI runtime configuration says, as containerd's CRI service annotates it."""
     said = document.get("annotations") or {}
     keys = {
@@ -130,8 +130,8 @@ def _claims(document: Mapping[str, Any]) -> dict[str, Any]:
         "pod_uid": "sandbox-uid",
         "name": "container-name",
     }
-    claims = {key: str(said.get(ANNOTATIONS + annotation, "")) for key, annotation in keys.items()}
-    return {**claims, "program": str(document["process"]["args"][0])[:PROGRAM_CHARACTERS_MAX]}
+    declared = {key: str(said.get(ANNOTATIONS + annotation, "")) for key, annotation in keys.items()}
+    return {**declared, "program": str(document["process"]["args"][0])[:PROGRAM_CHARACTERS_MAX]}
 
 
 def _links(place: Path) -> Iterator[tuple[str, int]]:

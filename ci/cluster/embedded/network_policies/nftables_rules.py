@@ -64,9 +64,9 @@ class Rulebook:
 
     def __init__(self, policies: Sequence[NetworkPolicy], pods: Iterable[NetworkPeer]) -> None:
         different = {_identity(pod): pod for pod in pods}
-        claims = Counter(address for address, _ in different)
+        pods_of_address = Counter(address for address, _ in different)
         self._policies = policies
-        self._pods = {key: pod for key, pod in different.items() if claims[pod.address] == 1}
+        self._pods = {key: pod for key, pod in different.items() if pods_of_address[pod.address] == 1}
         self._addresses: dict[tuple[str, str, str, int], Networks] = {}
 
     def node(self, attached: Iterable[AttachedPod]) -> str:

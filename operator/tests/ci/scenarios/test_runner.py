@@ -34,21 +34,21 @@ class FolderVolumes:
     def __init__(self, top: Path) -> None:
         self.top = top
 
-    def use(self, claims: Sequence[tuple[str, str]]) -> None:
-        if any(namespace == "away" for namespace, _ in claims):
+    def use(self, volume_claims: Sequence[tuple[str, str]]) -> None:
+        if any(namespace == "away" for namespace, _ in volume_claims):
             raise SetUpError("away")
 
-    def place(self, claim: tuple[str, str], folder: Path) -> bool:
+    def place(self, volume_claim: tuple[str, str], folder: Path) -> bool:
         raise NotImplementedError
 
-    def make(self, claim: tuple[str, str], folder: str) -> None:
+    def make(self, volume_claim: tuple[str, str], folder: str) -> None:
         raise NotImplementedError
 
-    def fetch(self, claim: tuple[str, str], path: str) -> Path:
-        return self.top.joinpath(*claim, path)
+    def fetch(self, volume_claim: tuple[str, str], path: str) -> Path:
+        return self.top.joinpath(*volume_claim, path)
 
-    def end_of(self, claim: tuple[str, str], path: str, length: int) -> bytes:
-        return end_of(self.top.joinpath(*claim, path), length)
+    def end_of(self, volume_claim: tuple[str, str], path: str, length: int) -> bytes:
+        return end_of(self.top.joinpath(*volume_claim, path), length)
 
 
 @pytest.fixture
