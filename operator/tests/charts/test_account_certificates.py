@@ -99,7 +99,7 @@ def test_a_revoked_one_is_refused_and_another_of_the_same_account_is_not(
 ) -> None:
     """The list is read again when it changes; connections that stand are the rights' to end."""
     lost = issue_account(broker.authority, "vehicle-00", time.time(), 3600)
-    before, told = turned.add(broker.proved("vehicle-00", lost), "vehicle-00-telemetry")
+    before, events = turned.add(broker.proved("vehicle-00", lost), "vehicle-00-telemetry")
     turned.until(lambda: before.complaint is None, "connected")
     broker.revoke(describe(lost, broker.authority).serial)
 
@@ -112,7 +112,7 @@ def test_a_revoked_one_is_refused_and_another_of_the_same_account_is_not(
 
     until(lambda: not lets_in(), "the list read again")
     refused(turned, broker.proved("vehicle-00", lost), "is revoked")
-    assert (before.complaint, told.lost) == (None, 0)
+    assert (before.complaint, events.lost) == (None, 0)
     after, _ = turned.add(broker.proved("vehicle-00"), "vehicle-00-bulk")
     turned.until(lambda: after.complaint is None, "the next certificate")
 
@@ -122,15 +122,15 @@ def test_an_account_that_is_shut_may_nothing_although_its_certificate_is_good(
 ) -> None:
     """What `rights` does at once, until the list is there: the connection ends, and the next one is deaf and dumb."""
     heard = heard_by_observer(broker, turned)
-    vehicle, told = turned.add(broker.proved("vehicle-00"), "vehicle-00-telemetry")
+    vehicle, events = turned.add(broker.proved("vehicle-00"), "vehicle-00-telemetry")
     turned.until(lambda: vehicle.complaint is None, "connected")
     rights = DynamicSecurity(lambda: broker.proved("rights"))
     until(lambda: (rights.turn(), rights.complaint is None)[1], "the rights connected")
     shut = [{"command": "modifyRole", "rolename": "vehicle-00", "acls": []}]
     rights.ask([*shut, {"command": "disableClient", "username": "vehicle-00"}])
-    turned.until(lambda: told.lost and vehicle.complaint is None, "ended, and connected again")
+    turned.until(lambda: events.lost and vehicle.complaint is None, "ended, and connected again")
     rights.ask([{"command": "modifyClient", "username": "vehicle-00"}])  # as at each of its looks
-    turned.until(lambda: told.lost == 2 and vehicle.complaint is None, "ended again")
+    turned.until(lambda: events.lost == 2 and vehicle.complaint is None, "ended again")
     vehicle.publish(OWN, b"shut", False)
     other, _ = turned.add(broker.proved("vehicle-01"), "vehicle-01-telemetry")
     turned.until(lambda: other.complaint is None and other.publish(OTHER, b"after", False) is not None, "another one")
@@ -146,13 +146,13 @@ def test_renewed_certificates_of_accounts_are_shown_to_the_next_connection(
     heard = heard_by_observer(broker, turned)
     short = issue_account(broker.authority, "vehicle-00", time.time(), 3)
     account = broker.proved("vehicle-00", short)
-    vehicle, told = turned.add(account, "vehicle-00-telemetry")
+    vehicle, events = turned.add(account, "vehicle-00-telemetry")
     turned.until(lambda: vehicle.complaint is None, "connected")
     end = describe(short, broker.authority).end
     turned.until(lambda: time.time() > end + 0.5, "the end of the first one")
     turned.until(lambda: vehicle.publish(OWN, b"after its end", False) is not None, "sent")
     turned.until(lambda: b"after its end" in heard(), "heard")
-    assert told.lost == 0
+    assert events.lost == 0
     refused(turned, account, "has expired")
     renew(account, issue_account(broker.authority, "vehicle-00", time.time(), 3600))
     again, _ = turned.add(account, "vehicle-00-bulk")

@@ -175,8 +175,8 @@ def test_its_cache_and_who_asks_it_read_the_password_from_a_file(argocd: list[Ob
         [volume] = [one for one in spec["volumes"] if one["name"] == mount["name"]]
         expected = {"secretName": "argocd-redis", "items": [{"key": "auth", "path": "auth"}]}
         assert volume["secret"] == {**expected, "optional": part == "redis"}, part
-        told = {one["name"]: one.get("value") for one in container["env"]}
-        assert told.get("REDIS_CREDS_DIR_PATH") == (None if part == "redis" else folder), part
+        values = {one["name"]: one.get("value") for one in container["env"]}
+        assert values.get("REDIS_CREDS_DIR_PATH") == (None if part == "redis" else folder), part
 
 
 def cache_starts(argocd: list[Object], folder: Path) -> subprocess.CompletedProcess[str]:

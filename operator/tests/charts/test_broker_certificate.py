@@ -55,11 +55,11 @@ def test_certificates_are_renewed_under_load_without_a_lost_message_or_connectio
     broker: EncryptedBroker, turned: Turned
 ) -> None:
     """A vehicle that sends poses and, now and then, 3 MB of clouds; each certificate lives for a minute."""
-    vehicle, told = turned.add(broker.account("vehicle-00"), "vehicle-00-telemetry")
+    vehicle, events = turned.add(broker.account("vehicle-00"), "vehicle-00-telemetry")
     observer, heard = turned.add(broker.account("observer"), "observer")
     turned.until(lambda: vehicle.complaint is None and observer.complaint is None, "connected")
     observer.subscribe(["mqtt/#"])
-    turned.until(lambda: vehicle.publish(POSE, b"first", False) is not None and told.heard, "subscribed")
+    turned.until(lambda: vehicle.publish(POSE, b"first", False) is not None and events.heard, "subscribed")
     heard.messages.clear()
     sent: list[bytes] = []
 
@@ -80,7 +80,7 @@ def test_certificates_are_renewed_under_load_without_a_lost_message_or_connectio
         send()
     turned.until(lambda: len(heard.messages) >= len(sent), "all of them")
     assert [message for message in heard.messages if message != b"first"] == sent
-    assert (told.lost, heard.lost) == (0, 0)
+    assert (events.lost, heard.lost) == (0, 0)
     assert broker.process.poll() is None
 
 
@@ -100,8 +100,8 @@ def test_who_is_refused_is_told_what_and_what_to_do(broker: EncryptedBroker, tur
 
 def test_everybody_else_who_connects_verifies_it_as_well(broker: EncryptedBroker) -> None:
     """The task gateway and the observer of suites; bridges and detectors have the channel above."""
-    taken = "refuses the subscription of everything"  # to which it has no right here: after the handshake
-    for name, said in ((NAME, taken), ("x", "its certificate is not for the name x")):
+    refusal = "refuses the subscription of everything"  # to which it has no right here: after the handshake
+    for name, said in ((NAME, refusal), ("x", "its certificate is not for the name x")):
         with pytest.raises(UnavailableError, match=f"broker 127.0.0.1:{broker.port}: {said}"):
             PahoObserver(broker.account("observer", name), "observing")
         assert [one.name for one in threading.enumerate() if "observing" in one.name] == []

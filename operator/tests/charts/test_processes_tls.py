@@ -184,8 +184,10 @@ def test_who_asks_knows_who_may_have_signed(encrypted: Any, mode: str) -> None:
         assert settings(encrypted, process)["authorities"] == f"{AUTHORITIES}/ca.crt"
     for workload in ASKING:
         assert AUTHORITIES in mounts(encrypted, workload), workload
-    told = encrypted.one("ConfigMap", "robotkube-ca", "robotkube-gate")
-    assert told.get("data", {}) == ({} if mode == "made" else {"ca.crt": told.get("data", {}).get("ca.crt")})
+    authorities = encrypted.one("ConfigMap", "robotkube-ca", "robotkube-gate")
+    assert authorities.get("data", {}) == (
+        {} if mode == "made" else {"ca.crt": authorities.get("data", {}).get("ca.crt")}
+    )
     [container] = dict(encrypted.pods)["StatefulSet/forge"]["containers"]
     assert {"name": "SSL_CERT_DIR", "value": AUTHORITIES} in container["env"]
 

@@ -132,11 +132,11 @@ def test_watching_the_platform(line: Line, api: Api) -> None:
     """Where no manager answers, it says so, and shows what the API server has."""
     api.task("stands")
     code, out, err = line.run("watch", "--seconds=1", "--output", "json")
-    told = [json.loads(text) for text in out.splitlines()]
+    events = [json.loads(text) for text in out.splitlines()]
     assert (code, err) == (0, "")
-    assert told[0]["what"] == "task cloud-0/stands stands: New"
-    assert told[1]["what"].startswith("what is shown may be old: the manager does not answer: no Service manager")
-    assert (told[1]["trouble"], len(told)) == (True, 2)
+    assert events[0]["what"] == "task cloud-0/stands stands: New"
+    assert events[1]["what"].startswith("what is shown may be old: the manager does not answer: no Service manager")
+    assert (events[1]["trouble"], len(events)) == (True, 2)
     code, out, err = line.run("open", "--print", "fleet")
     assert (code, out) == (1, "")
     assert "no Service console; `robotkube watch` shows the fleet in the terminal" in err

@@ -57,11 +57,11 @@ def test_access_that_is_taken_back_is_gone(installation: Installation, administr
     deployment, catalogue = installation.setup.repositories
     access = {**catalogue.access, "argocd": "read", "publisher": "write"}
     wider = replace(installation.setup, repositories=(deployment, replace(catalogue, access=access)))
-    given, taken = bootstrap(), bootstrap()
+    given, withdrawn = bootstrap(), bootstrap()
     given.forge(wider, administration)
     assert given.changed == ["team robotkube/catalogue-read", "team robotkube/catalogue-write"]
-    taken.forge(installation.setup, administration)
-    assert taken.changed == given.changed
+    withdrawn.forge(installation.setup, administration)
+    assert withdrawn.changed == given.changed
 
 
 def test_a_webhook_to_where_nobody_answers_any_more_goes_and_others_stay(

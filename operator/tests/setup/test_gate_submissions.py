@@ -125,14 +125,14 @@ def test_the_gate_process_publishes_what_the_command_submits(
     scripted.checks["static"] = (Check("probes", False, "no readinessProbe", "add one"),)
     capsys.readouterr()
     assert submit(installation, tmp_path, name, "--application", name) == 1
-    told = capsys.readouterr()
-    assert f"static of {name} failed" in told.err
-    assert "found: `no readinessProbe`" in told.err
-    assert "do: add one" in told.err
+    printed = capsys.readouterr()
+    assert f"static of {name} failed" in printed.err
+    assert "found: `no readinessProbe`" in printed.err
+    assert "do: add one" in printed.err
     scripted.checks.clear()
     assert submit(installation, tmp_path, name, "--application", name, "--output", "json") == 0
-    told = capsys.readouterr()
-    rows = json.loads(told.out)["submitted"]
+    printed = capsys.readouterr()
+    rows = json.loads(printed.out)["submitted"]
     assert [(row["kind"], row["verdict"]) for row in rows] == [("chart", "published"), ("application", "published")]
     assert rows[0]["evidence"].startswith(f"evidence/{name}/0.1.0_")
     assert (tmp_path / "kept" / rows[0]["evidence"]).is_file()
@@ -180,10 +180,10 @@ def test_the_gate_process_refuses_an_application_whose_parameter_leads_to_a_fore
     path.write_text(yaml.safe_dump(document))
     capsys.readouterr()
     assert submit(installation, tmp_path, name, "--application", name) == 1
-    told = capsys.readouterr().err
-    assert f"applications/{name}.yaml: spec.services[0]: with parameters {{'" in told
-    assert f"'image': '{foreign}'" in told
-    assert f": a pod would run image {foreign}, which was not verified with chart" in told
+    printed = capsys.readouterr().err
+    assert f"applications/{name}.yaml: spec.services[0]: with parameters {{'" in printed
+    assert f"'image': '{foreign}'" in printed
+    assert f": a pod would run image {foreign}, which was not verified with chart" in printed
     assert runner[0].runs == []
     assert name not in catalogue_of(installation).applications
 
@@ -213,9 +213,9 @@ def test_wrong_sources_are_told_before_anything_is_sent(
     path = tmp_path / "registry" / "charts" / name / "0.1.0.yaml"
     path.write_text(path.read_text().replace("  channel: ", "  chanel: "))
     assert submit(installation, tmp_path, name) == 2
-    told = capsys.readouterr().err
-    assert f"{path}: spec.chanel: unknown key; remove it" in told
-    assert f"{path}: spec.channel: missing" in told
-    assert "nothing was submitted" in told
+    printed = capsys.readouterr().err
+    assert f"{path}: spec.chanel: unknown key; remove it" in printed
+    assert f"{path}: spec.channel: missing" in printed
+    assert "nothing was submitted" in printed
     assert submit(installation, tmp_path) == 2
     assert "name charts, applications (--application NAME), or --all" in capsys.readouterr().err

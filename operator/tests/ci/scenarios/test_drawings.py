@@ -241,8 +241,8 @@ def test_an_event_that_did_not_end_shows_the_whole_rest_of_the_drive() -> None:
 def test_a_label_stands_where_nothing_else_does() -> None:
     first, second, shares = (0.0, 0.0), (200.0, 100.0), (0.2, 0.5, 0.8)
     everywhere = [((0.0, 10.0 * n), 1000.0) for n in range(20)]
-    for taken, place in (([], (40, 20)), ([((40.0, 20.0), 76.0)], (100, 50)), (everywhere, (160, 80))):
-        assert trajectories.free_place(first, second, shares, taken) == near(place, 0.1)
+    for occupied, place in (([], (40, 20)), ([((40.0, 20.0), 76.0)], (100, 50)), (everywhere, (160, 80))):
+        assert trajectories.free_place(first, second, shares, occupied) == near(place, 0.1)
 
 
 def test_the_distance_of_a_story_without_a_rule_has_no_thresholds() -> None:

@@ -84,8 +84,8 @@ def test_the_reports_timeline_has_the_same_words() -> None:
         commit=document["commit"], changed=tuple(document["changed"]), created=tuple(document["created"]), removed=(),
         error=None,
     )  # fmt: skip
-    told = [(moment.time, moment.text) for moment in moments.of_plan(None, document, NOW)]
-    assert told == [(moment.time, moment.text) for moment in timeline._of_plan(given, "deployment")]
+    shown_moments = [(moment.time, moment.text) for moment in moments.of_plan(None, document, NOW)]
+    assert shown_moments == [(moment.time, moment.text) for moment in timeline._of_plan(given, "deployment")]
 
 
 def test_what_is_waited_for_is_said_once_until_something_else_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:

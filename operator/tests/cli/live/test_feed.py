@@ -106,8 +106,8 @@ def test_what_somebody_should_look_at_is_told_with_its_words(
 def test_a_container_that_ended_is_told(stage: Stage) -> None:
     stage.step()
     stage.platform.put("pods", pod("vehicle-00/mqtt-bridge-1", "mqtt-bridge", restarts=1))
-    [told] = stage.step()
-    assert told == "pod vehicle-00/mqtt-bridge-1: a container ended and began again (Error, exit code 2)"
+    [line] = stage.step()
+    assert line == "pod vehicle-00/mqtt-bridge-1: a container ended and began again (Error, exit code 2)"
 
 
 def test_a_persons_task_has_no_event(stage: Stage) -> None:

@@ -93,7 +93,7 @@ def test_what_changes_in_the_cluster_is_told_in_a_stream(api: Api, console: http
     assert items(console, "agents")["cloud-0"]["nodes"] == []
     after = console.get("/api/snapshot").json()["id"]
     with console.stream("GET", "/api/events", params={"after": after}) as stream:
-        told = changes(stream)
+        notified = changes(stream)
         api.node("cloud-0", "cloud")
         api.task(TASK, reason="two meet")
         manager.plans = given.plans(tasks=[f"cloud-0/{TASK}"], events=["e1"])
@@ -105,7 +105,7 @@ def test_what_changes_in_the_cluster_is_told_in_a_stream(api: Api, console: http
         gone: dict[str, list[str]] = {}
         wanted = {"agents": "cloud-0", "tasks": f"cloud-0/{TASK}", "plans": given.PLAN, "releases": given.RECORDER}
         while not all(key in seen.get(kind, {}) for kind, key in wanted.items()):
-            for kind, documents in next(told)["set"].items():
+            for kind, documents in next(notified)["set"].items():
                 seen.setdefault(kind, {}).update(documents)
         assert seen["agents"]["cloud-0"]["ready"] is True
         assert seen["events"]["e1"]["task"] == f"cloud-0/{TASK}"
@@ -115,7 +115,7 @@ def test_what_changes_in_the_cluster_is_told_in_a_stream(api: Api, console: http
         api.delete(f"{ARGOCD}/cloud-0-recorder")
         api.delete(NODE)
         while not {"tasks", "releases"} <= set(gone):
-            change = next(told)
+            change = next(notified)
             gone |= change["gone"]
     assert gone["releases"] == [given.RECORDER]
     assert console.get(f"/api/changes?after={after}").json()["gone"]["tasks"] == [f"cloud-0/{TASK}"]

@@ -137,8 +137,8 @@ def test_a_bridge_that_tells_without_end_or_of_no_numbers_keeps_nobody_from_read
     links = bridges.read(page(0) + "".join(many))
     assert len(links) == LINKS_MAX
     bridges.pages[NOT_CARRIED] = ["x" * 5000] * 500
-    told = [link for link in bridges.read(page(0, refused=1)).values() if link["problem"]]
-    assert (len(told), len(told[0]["problem"])) == (SENTENCES_MAX, SENTENCE_CHARACTERS_MAX)
+    troubled = [link for link in bridges.read(page(0, refused=1)).values() if link["problem"]]
+    assert (len(troubled), len(troubled[0]["problem"])) == (SENTENCES_MAX, SENTENCE_CHARACTERS_MAX)
     bridges.read(page(0).replace("topics_refused 0", "topics_refused 1e999"))
     assert "infinity" in bridges.model.documents(kinds.SOURCES)["bridges"]["problem"]
 

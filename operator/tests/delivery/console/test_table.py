@@ -81,8 +81,8 @@ def test_a_change_has_each_item_once_and_only_what_changed(writes: list[Any], ve
             expected.add(one[:2])
     change = table.since(min(version, table.version))
     assert change is not None
-    told = [*((kind, key) for kind, items in change.items.items() for key in items), *pairs(change.gone)]
-    assert sorted(told) == sorted(expected)
+    keys = [*((kind, key) for kind, items in change.items.items() for key in items), *pairs(change.gone)]
+    assert sorted(keys) == sorted(expected)
 
 
 def test_the_same_document_again_is_no_change() -> None:

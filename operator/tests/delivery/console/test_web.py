@@ -154,10 +154,10 @@ def test_a_stream_begins_with_padding_and_a_heartbeat_and_tells_what_changes(con
         waiting = asyncio.ensure_future(next_event(events))
         await asyncio.sleep(0)
         await asyncio.to_thread(console.model.put_source, "broker", "", "", ())
-        told = await asyncio.wait_for(waiting, 5)
-        assert_of_the_contract(told["data"], "Change")
-        assert told["data"]["set"]["sources"]["broker"]["ok"] is True
-        assert told["id"] == f"e.{version + 1}"
+        event = await asyncio.wait_for(waiting, 5)
+        assert_of_the_contract(event["data"], "Change")
+        assert event["data"]["set"]["sources"]["broker"]["ok"] is True
+        assert event["id"] == f"e.{version + 1}"
         assert console.console.streams.wakeups.count == 1
         await events.aclose()  # type: ignore[attr-defined]
         assert console.console.streams.wakeups.count == 0

@@ -152,11 +152,11 @@ def test_a_link_that_its_chart_takes_otherwise_is_refused_before_it_is_published
     topic |= {"reliability": "reliable", "durability": "volatile", "depth": 1}
     (text,) = application({}, provides=["link/mqtt"]).values()
     bridge = text.replace("name: relaying", "name: bridge").replace("role: cloud", "agent: '{{ agent }}'")
-    told: dict[str, Any] = {"name": "level", "medium": "ros", "direction": "in", "topic": topic["name"]}
-    told |= {"type": "std_msgs/msg/Float64", "qos": {"reliability": "reliable", "durability": "volatile"}}
+    interface: dict[str, Any] = {"name": "level", "medium": "ros", "direction": "in", "topic": topic["name"]}
+    interface |= {"type": "std_msgs/msg/Float64", "qos": {"reliability": "reliable", "durability": "volatile"}}
     chart = relay()
     path = "charts/relay/0.1.0.yaml"
-    chart[path] = write_mapping(merged(chart[path], {"interfaces": [told]}))
+    chart[path] = write_mapping(merged(chart[path], {"interfaces": [interface]}))
     ends: dict[str, Any] = {"from": {"agent": "vehicle-00"}, "to": {"service": "relay"}}
     linked = application({}, links=[{"kind": "mqtt", **ends, "topics": [topic]}])
     trial = tried(tmp_path, chart, linked, {"applications/bridge.yaml": bridge})
@@ -164,8 +164,8 @@ def test_a_link_that_its_chart_takes_otherwise_is_refused_before_it_is_published
         "spec.links[0].topics[0].type: topic /vehicles/vehicle_00/level is std_msgs/msg/Float32 here"
         in trial.problems[0]
     )
-    told["type"] = topic["type"]
-    chart[path] = write_mapping(merged(chart[path], {"interfaces": [told]}))
+    interface["type"] = topic["type"]
+    chart[path] = write_mapping(merged(chart[path], {"interfaces": [interface]}))
     assert tried(tmp_path, chart, linked, {"applications/bridge.yaml": bridge}).problems == ()
 
 

@@ -179,5 +179,5 @@ def test_a_changed_policy_makes_all_evidence_doubtful_and_its_return_good_again(
         assert f"the evidence was made under another policy ({POLICY.digest}" in installation.comments(refused)
     finally:
         policy(POLICY_TEXT)
-    taken = propose()
-    until(lambda: installation.pull_request(taken)["merged"], "merged")
+    merged = propose()
+    until(lambda: installation.pull_request(merged)["merged"], "merged")

@@ -51,7 +51,7 @@ def test_a_task_whose_link_is_not_carried_is_not_ready_and_says_link_agent_and_c
     assert stage.tasks.condition(key, "Ready") == ("False", "LinkBroken")
     text = f"its bridge {BRIDGE} does not carry it: the broker refuses mqtt/x: not authorised"
     assert message(stage, key) == f"link {fault.topic} never leaves vehicle-00: {text}"
-    assert [reason for told, reason, _ in stage.tasks.reports if told == key] == ["LinkBroken"]
+    assert [reason for reported, reason, _ in stage.tasks.reports if reported == key] == ["LinkBroken"]
     stage.manager = stage.start()
     stage.go(wake=APPLICATIONS)
     assert stage.tasks.condition(key, "Ready") == ("False", "LinkBroken")

@@ -52,8 +52,8 @@ def test_a_container_that_fails_is_named_with_its_cause(
 
 def test_the_last_words_of_a_container_survive_the_cut() -> None:
     """As the kubelet has them of its termination message, or of what never began."""
-    told = "Traceback (most recent call last):\n" + "  spin_once(node)\n" * 40 + "KeyError: 'map'\n"
-    [said] = pod_troubles([pod(BACK_OFF, {"terminated": {**ENDED["terminated"], "message": told}}, 2)])
+    traceback = "Traceback (most recent call last):\n" + "  spin_once(node)\n" * 40 + "KeyError: 'map'\n"
+    [said] = pod_troubles([pod(BACK_OFF, {"terminated": {**ENDED["terminated"], "message": traceback}}, 2)])
     assert "(Error, exit code 2), started again 2 times: Traceback (most recent call last): spin" in said
     assert said.endswith("spin_once(node) KeyError: 'map'")
     assert len(said) < 2 * WORDS_CHARACTERS_MAX

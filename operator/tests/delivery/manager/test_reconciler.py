@@ -186,7 +186,7 @@ def test_a_task_waits_for_a_gate_that_is_down_and_goes_on_when_it_is_back(stage:
         assert stage.tasks.condition(key, "Committed") == ("False", "GateUnavailable")
         message = stage.tasks.objects[key]["status"]["conditions"][1]["message"]
         assert message.startswith("no verdict of the gate about pull request 2 within 15 s; it waits")
-        assert [told for told in stage.tasks.reports if told[0] == key] == [(key, "GateUnavailable", message)]
+        assert [report for report in stage.tasks.reports if report[0] == key] == [(key, "GateUnavailable", message)]
     assert len(stage.forge.pulls) == 2
     stage.forge.decide = stage.forge.merge
     stage.forge.merge(stage.forge.pulls[2])
@@ -263,7 +263,7 @@ def test_statuses_say_when_the_forge_is_away_for_long(stage: Stage) -> None:
     stage.fail()
     assert stage.tasks.condition(unseen, "Accepted") == ("Unknown", "ForgeUnavailable")
     assert stage.tasks.condition(unseen, "Committed") == ("False", "ForgeUnavailable")
-    assert [told[:2] for told in stage.tasks.reports] == [(key, "ForgeUnavailable"), (unseen, "ForgeUnavailable")]
+    assert [report[:2] for report in stage.tasks.reports] == [(key, "ForgeUnavailable"), (unseen, "ForgeUnavailable")]
     stage.repository.away = False
     stage.go(6)
     assert stage.tasks.condition(key, "Committed") == ("True", "Merged")

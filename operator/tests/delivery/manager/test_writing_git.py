@@ -163,7 +163,7 @@ def test_a_release_that_a_person_removed_is_named_until_it_is_back(stage: Stage)
     said = next(c for c in stage.tasks.objects[key]["status"]["conditions"] if c["type"] == "Committed")["message"]
     assert f"{path} was removed by commit {commit[:12]} of manager. policies/edits.yaml respects that" in said
     assert "withdraw the task" in said
-    assert ("EditedByHand", said) in [told[-2:] for told in stage.tasks.reports]
+    assert ("EditedByHand", said) in [report[-2:] for report in stage.tasks.reports]
     stage.repository.push({path: text}, "back")
     stage.go(wake=DEPLOYMENT)
     assert stage.tasks.condition(key, "Committed") == ("True", "Merged")

@@ -242,10 +242,10 @@ def test_a_change_by_another_hand_is_put_right_and_told(stage: KeptRights, caplo
     other.say(MQTT_01)
     assert other.publish(MQTT_00) == NOT_AUTHORISED
     assert Connection(stage.broker.port, "stranger", "x").refused == NOT_AUTHORISED
-    told = " ".join(record.getMessage() for record in caplog.records)
+    logged = " ".join(record.getMessage() for record in caplog.records)
     for about in ("stranger", "all", "cloud-0", "vehicle-00", "vehicle-01", "defaults"):
-        assert f"rights restored about={about} " in told
-    shown("elsewhere", told, "rights-changed")
+        assert f"rights restored about={about} " in logged
+    shown("elsewhere", logged, "rights-changed")
     assert stage.keeper.restored == 7
 
 

@@ -63,9 +63,9 @@ def test_a_value_that_does_not_fit_is_refused_with_file_key_and_fix(value: Any, 
     with pytest.raises(DocumentError) as refused:
         reader.finish()
     assert refused.value.where == "file"
-    [told] = refused.value.problems
-    assert told.startswith("root.key: ")
-    assert problem in told
+    [sentence] = refused.value.problems
+    assert sentence.startswith("root.key: ")
+    assert problem in sentence
 
 
 def test_a_key_that_is_missing() -> None:

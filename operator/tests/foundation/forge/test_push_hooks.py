@@ -28,11 +28,11 @@ def url(deliveries: list[WebhookDelivery]) -> Iterator[str]:
 
 
 def relay(url: str, secret: bytes = SECRET) -> bool:
-    told = PushRelay(url, secret, "robotkube/deployment")
+    relayed = PushRelay(url, secret, "robotkube/deployment")
     try:
-        return told.hook(BEFORE, AFTER)
+        return relayed.hook(BEFORE, AFTER)
     finally:
-        told.disconnect()
+        relayed.disconnect()
 
 
 def test_a_manager_reads_it_as_the_forges_own_word(url: str, deliveries: list[WebhookDelivery]) -> None:

@@ -76,7 +76,7 @@ def test_the_page_leads_from_nothing_to_an_event_and_a_changed_rule(
     platform: Platform, folder: Path, surroundings: Mapping[str, str]
 ) -> None:
     statuses: list[dict[str, Any]] = []
-    told: dict[str, Any] = {}
+    notification: dict[str, Any] = {}
     before: dict[str, int] = {}
     for _, path, text in BLOCK.findall(PAGE.read_text(encoding="utf-8")):
         if path:
@@ -89,11 +89,11 @@ def test_the_page_leads_from_nothing_to_an_event_and_a_changed_rule(
                 assert pods(platform) == before, "the pod did not stay"
             said = run(line.removeprefix("$ "), folder, surroundings)
             if "paho.mqtt" in line:
-                told = json.loads(said)
+                notification = json.loads(said)
             elif "/status" in line:
                 statuses.append(json.loads(said))
                 before = before or pods(platform)
-    assert (told["rule"], told["detector"]) == ("warm", f"{NAMESPACE}/{DETECTOR}")
+    assert (notification["rule"], notification["detector"]) == ("warm", f"{NAMESPACE}/{DETECTOR}")
     first, last = statuses
     assert first["state"] == last["state"] == "active"
     assert [status["not_ready"] for status in statuses] == ["", ""]

@@ -105,17 +105,17 @@ def test_a_merged_rule_is_at_work_and_the_buffer_is_kept(stage: Stage) -> None:
 
 @pytest.mark.thorough
 def test_merged_rules_are_at_work_in_time(stage: Stage) -> None:
-    taken = changed(stage, MANY)
-    assert sum(seconds <= ACTIVE_SECONDS_MAX for seconds in taken) >= SHARE * MANY, taken
+    changes = changed(stage, MANY)
+    assert sum(seconds <= ACTIVE_SECONDS_MAX for seconds in changes) >= SHARE * MANY, changes
 
 
 def changed(stage: Stage, changes: int) -> list[float]:
     """Seconds of each of so many changes of one detector, which keeps its process and its buffer."""
-    taken: list[float] = []
+    seconds: list[float] = []
     with watched(stage) as reloaded:
         before = reloaded.status()
         for number in range(1, changes + 1):
-            taken.append(reloaded.seconds_of_change(FIRST_METRES + number))
+            seconds.append(reloaded.seconds_of_change(FIRST_METRES + number))
             after = reloaded.status()
             assert buffered(after) >= FULL, "what was buffered is still there"
         assert after["topics"][TOPIC]["buffer"]["cleared"] == 0
@@ -123,4 +123,4 @@ def changed(stage: Stage, changes: int) -> list[float]:
         assert (after["started"], after["rules"]["names"]) == (before["started"], before["rules"]["names"])
         assert [pod.name for pod in stage.pods(RELEASE)] == [reloaded.pod]
         assert reloaded.restarts() == 0
-    return taken
+    return seconds

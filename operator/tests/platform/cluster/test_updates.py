@@ -137,8 +137,8 @@ def test_a_version_that_fails_in_the_field_is_taken_back(platform: Platform, sta
 
     measured_version(tmp_path)
     submit(platform, tmp_path, CHART)
-    told = f"nobody watches it for events of {WATCHED_RULE}"
-    eventually("the canary is healthy", lambda: told in update_of(platform, canary), UPDATED_SECONDS_MAX)
+    sentence = f"nobody watches it for events of {WATCHED_RULE}"
+    eventually("the canary is healthy", lambda: sentence in update_of(platform, canary), UPDATED_SECONDS_MAX)
     assert sorted(versions(stage)) == [GOOD, GOOD, MEASURED]
     event = {"rule": WATCHED_RULE, "id": "field-trial-1", "trace": "f" * 32, "time": time_text(time.time_ns())}
     stage.submit("vehicle-02", "field-trial", application="nothing-of-this-name", event=event)

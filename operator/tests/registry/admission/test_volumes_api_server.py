@@ -70,8 +70,8 @@ def test_what_the_provider_makes_is_let_in_bound_and_given_back(api: Api) -> Non
     [bound] = chosen_volumes([claim], api.done("GET", VOLUMES)["items"])
     name = bound["metadata"]["name"]
     applied(api, name, bound, "robotkube-installation")
-    taken = {"metadata": {"annotations": {"pv.kubernetes.io/bound-by-controller": "yes"}}}
-    api.done("PATCH", f"{VOLUMES}/{name}", taken, BINDER, MERGE)
+    given = {"metadata": {"annotations": {"pv.kubernetes.io/bound-by-controller": "yes"}}}
+    api.done("PATCH", f"{VOLUMES}/{name}", given, BINDER, MERGE)
     api.done("PATCH", f"{VOLUMES}/{name}/status", {"status": {"phase": "Bound"}}, BINDER, MERGE)
     api.done("PATCH", f"{VOLUMES}/{name}", {"spec": {"claimRef": None}}, BINDER, MERGE)
 

@@ -281,8 +281,8 @@ def test_the_highest_allowed_version_is_taken_and_every_candidate_has_its_reason
         document["spec"]["version"], document["status"] = version, {**STATUS, "state": state}
         files[f"charts/{CHARTS[0].parent.name}/{version}.yaml"] = write_mapping(document)
     wanted = ChartRequirement(CHARTS[0].parent.name, ">=0.1.0 <0.2.0")
-    taken, reasons = read_catalogue({**files, "policies/release.yaml": "assurance: none\n"}).select(wanted)
-    assert taken.version == "0.1.1"
+    selected, reasons = read_catalogue({**files, "policies/release.yaml": "assurance: none\n"}).select(wanted)
+    assert selected.version == "0.1.1"
     assert len(reasons) == 4
     strict = read_catalogue(files)  # without a policy: verified only, and only with evidence
     with pytest.raises(RefusalError, match="no valid evidence: its evidence was not assessed"):

@@ -386,8 +386,8 @@ def test_a_database_proves_who_it_is_where_the_platforms_does(kind: str) -> None
     test_namespace.start_broker()
     before = api.objects["ConfigMap", "robotkube-ca"]["data"]["ca.crt"]
     account = test_namespace.start_database()
-    told, files = api.secrets["database-account"], api.secrets["suite-database"]
-    assert (told["tls"], told["server_name"], told["port"]) == ("required", "suite-database", "27018")
+    database, files = api.secrets["database-account"], api.secrets["suite-database"]
+    assert (database["tls"], database["server_name"], database["port"]) == ("required", "suite-database", "27018")
     assert [(one.server_name, one.authority, one.port) for one in made] == [
         ("suite-database", files["ca.crt"], 27018)
     ] * 2

@@ -169,13 +169,13 @@ def test_what_a_copy_does_not_have_is_said() -> None:
 
 def test_a_run_has_a_namespace_that_is_removed_in_the_end() -> None:
     namespaces = Namespaces()
-    told: list[str] = []
+    lines: list[str] = []
     seen: list[tuple[str, int, float]] = []
 
     def act(namespace: SuiteNamespace) -> None:
         seen.append((namespace.namespace, namespace.domain_id, namespace.seconds_left))
 
-    with runs(namespaces, told=told) as made:
+    with runs(namespaces, told=lines) as made:
         for _ in range(2):
             result = made.run(RULE, Told(act), subject())
             assert isinstance(result, SuiteResult)
@@ -183,7 +183,7 @@ def test_a_run_has_a_namespace_that_is_removed_in_the_end() -> None:
         assert not namespaces.removed
     assert seen == [("robotkube-try-1a2b-1", 89, 60.0)] * 2
     assert namespaces.made == namespaces.removed == ["robotkube-try-1a2b-1"]
-    assert told == ["removed what an earlier try left behind: namespace robotkube-try-old"]
+    assert lines == ["removed what an earlier try left behind: namespace robotkube-try-old"]
 
 
 def test_two_runs_at_once_have_namespaces_of_their_own() -> None:
@@ -283,15 +283,15 @@ def test_trouble_of_the_cluster_is_no_pass(monkeypatch: pytest.MonkeyPatch) -> N
 @pytest.mark.parametrize("stays", [True, False])
 def test_a_namespace_that_stays_is_named(stays: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     namespaces = Namespaces(stays=stays)
-    told: list[str] = []
+    lines: list[str] = []
     clock = Clock()
-    with runs(namespaces, clock, told) as made:
+    with runs(namespaces, clock, lines) as made:
         made.run(RULE, Told(), subject())
         if stays:
             monkeypatch.setattr(made, "_clock", iter(range(0, 1000, 15)).__next__)
         else:
             monkeypatch.setattr(namespaces, "remove", _refuse)
-    assert ("is still being removed" if stays else "kubectl delete namespace") in told[-1]
+    assert ("is still being removed" if stays else "kubectl delete namespace") in lines[-1]
 
 
 def _refuse(namespace: str) -> None:

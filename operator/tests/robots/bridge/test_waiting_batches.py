@@ -19,19 +19,19 @@ def batch(topic: str, number: int) -> OutgoingBatch:
 @given(st.lists(st.sampled_from([*TOPICS, "take", "put back", "oldest", "thickest", "forget"]), max_size=60))
 def test_any_history_is_that_of_a_plain_list(actions: list[str]) -> None:
     waiting, model = WaitingBatches(), list[OutgoingBatch]()
-    taken: list[OutgoingBatch] = []
+    received: list[OutgoingBatch] = []
     for number, action in enumerate(actions):
         model.sort(key=lambda one: (not one.deadline_seconds, one.born))
         if action in TOPICS:
             waiting.append(batch(action, number))
             model.append(batch(action, number))
         elif action == "take" and model:
-            taken.append(waiting.take())
-            assert taken[-1] == model.pop(0)
-        elif action == "put back" and taken:
-            waiting.put_back(taken)
-            model += taken
-            taken = []
+            received.append(waiting.take())
+            assert received[-1] == model.pop(0)
+        elif action == "put back" and received:
+            waiting.put_back(received)
+            model += received
+            received = []
         elif action == "oldest" and model:
             wanted = min(model, key=lambda one: (one.retained, one.born))
             assert waiting.oldest == wanted

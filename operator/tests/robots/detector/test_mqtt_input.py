@@ -143,11 +143,11 @@ def test_an_agent_defines_no_other_type_than_that_of_its_topic(stage: Stage) -> 
 
 def test_an_installed_type_is_not_what_somebody_at_the_broker_says() -> None:
     odd = "other_msgs/msg/Odd"
-    told = {TYPE: "float64 turned_around\n", odd: "float64 x\n"}
-    assert "\nPose pose\n" in definition(TYPE, told)
-    assert definition(odd, told) == "float64 x\n"
+    announced = {TYPE: "float64 turned_around\n", odd: "float64 x\n"}
+    assert "\nPose pose\n" in definition(TYPE, announced)
+    assert definition(odd, announced) == "float64 x\n"
     with pytest.raises(KeyError, match="Unheard"):
-        definition("other_msgs/msg/Unheard", told)
+        definition("other_msgs/msg/Unheard", announced)
 
 
 def test_gaps_of_senders_are_told(stage: Stage) -> None:
@@ -192,12 +192,12 @@ def delivery(number: int) -> EdgeDelivery:
 
 def test_messages_wait_for_the_broker_and_are_sent_again_in_order(stage: Stage) -> None:
     box = DeadLetterBox(lambda: 7)
-    told = reaction(stage, box)
+    reactions = reaction(stage, box)
     for number in (1, 2):
-        told.react(delivery(number))
+        reactions.react(delivery(number))
     stage.broker.turn()
-    assert (stage.channel.published, told.counts()["waiting"]) == ([], 2)
-    assert told.unreachable == "not connected"
+    assert (stage.channel.published, reactions.counts()["waiting"]) == ([], 2)
+    assert reactions.unreachable == "not connected"
     stage.connect()
     stage.broker.turn()
     stage.broker.acknowledged(1, True)
@@ -209,28 +209,28 @@ def test_messages_wait_for_the_broker_and_are_sent_again_in_order(stage: Stage) 
     assert [said.user["id"] for said in sent] == ["1-start", "2-start", "2-start"]
     assert (sent[0].content_type, sent[0].user["trace"]) == ("application/json", "2" * 32)
     assert stage.channel.published[0][:3] == ("events/near", b"{}", True)
-    assert told.counts() == {"delivered": 2, "retries": 1, "dead": 0, "waiting": 0}
+    assert reactions.counts() == {"delivered": 2, "retries": 1, "dead": 0, "waiting": 0}
     assert stage.broker.close(1.0, lambda _: None)
     assert stage.channel.closed
 
 
 def test_what_the_broker_does_not_take_is_a_dead_letter(stage: Stage) -> None:
     box = DeadLetterBox(lambda: 7)
-    told = reaction(stage, box)
+    reactions = reaction(stage, box)
     stage.connect()
-    told.react(delivery(1))
+    reactions.react(delivery(1))
     stage.broker.turn()
     stage.broker.rejected(1, "not authorised")
     stage.channel.complaint = "gone"
-    told.react(delivery(2))
+    reactions.react(delivery(2))
     stage.seconds = 11.0
     stage.broker.turn()
     for number in range(QUEUE_MAX + 1):
-        told.react(delivery(100 + number))
-    assert told.dead == 3
+        reactions.react(delivery(100 + number))
+    assert reactions.dead == 3
     assert not stage.broker.close(1.0, lambda _: None)
     reasons = [letter["reason"] for letter in box.documents()]
-    assert told.dead == 3 + QUEUE_MAX
+    assert reactions.dead == 3 + QUEUE_MAX
     assert reasons[-1] == "the detector ended"
 
 

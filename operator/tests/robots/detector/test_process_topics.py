@@ -100,12 +100,12 @@ def test_quality_of_service_is_that_of_whoever_publishes(start: Start, tmp_path:
     assert detector.metric('mismatched_topics{topic="/strict"} 0')
     detector.process.terminate()
     _, log = detector.process.communicate(timeout=10)
-    told = [json.loads(line)["event"] for line in log.splitlines() if line.startswith("{")]
-    assert any(event.startswith("topic /strict: ") and event.endswith(sentence) for event in told)
-    assert any("the middleware has refused publishers because of durability" in event for event in told)
+    events = [json.loads(line)["event"] for line in log.splitlines() if line.startswith("{")]
+    assert any(event.startswith("topic /strict: ") and event.endswith(sentence) for event in events)
+    assert any("the middleware has refused publishers because of durability" in event for event in events)
     refused = "topic /open: the middleware has refused publishers because of reliability (1 so far): asked reliable, "
-    assert any(event.startswith(refused) for event in told), "what was asked for when it refused"
-    assert any(event.startswith("topic /strict: every publisher fits") for event in told)
+    assert any(event.startswith(refused) for event in events), "what was asked for when it refused"
+    assert any(event.startswith("topic /strict: every publisher fits") for event in events)
 
 
 def test_promises_that_a_publisher_breaks_are_counted(start: Start, tmp_path: Path, unused_port: int) -> None:

@@ -97,7 +97,7 @@ def test_a_type_that_is_not_installed_comes_with_its_definition(broker: pods.Bro
         detector.kill()
         detector.communicate(timeout=WAIT_SECONDS)
         peer.channel.close()
-    assert [(told["edge"], told["agents"]) for told in peer.heard] == [
+    assert [(notification["edge"], notification["agents"]) for notification in peer.heard] == [
         ("start", ["vehicle-07"]),
         ("stop", ["vehicle-07"]),
     ]

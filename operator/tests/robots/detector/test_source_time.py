@@ -188,10 +188,10 @@ def test_every_message_that_no_rule_saw_is_told_by_its_reason() -> None:
     assert not result.incomplete
     _, stage = lived(sent, RULES)
     shown = stage.status.document()
-    told = shown["topics"][topic]["unseen"]
-    assert {reason: count for reason, count in told.items() if count} == result.unseen[topic]
-    assert shown["rules"]["unseen"] == told
-    assert {(f'robotkube_detector_unseen_total{{reason="{r}"}} {n}') for r, n in told.items()} <= set(
+    unseen = shown["topics"][topic]["unseen"]
+    assert {reason: count for reason, count in unseen.items() if count} == result.unseen[topic]
+    assert shown["rules"]["unseen"] == unseen
+    assert {(f'robotkube_detector_unseen_total{{reason="{r}"}} {n}') for r, n in unseen.items()} <= set(
         stage.status.metrics().splitlines()
     )
 
@@ -205,8 +205,8 @@ def test_messages_that_cannot_be_read_wait_or_are_pushed_out_are_told_too() -> N
     stage.detector.turn()
     stage.detector._adopted, stage.detector._adopt_until = False, 1e9  # the API server has not answered
     stage.send("vehicle-00", 1)
-    told = stage.detector.unseen.of(topic)
-    assert {reason: count for reason, count in told.items() if count} == {
+    unseen = stage.detector.unseen.of(topic)
+    assert {reason: count for reason, count in unseen.items() if count} == {
         "malformed": 1, "unreadable": 1, "starting": 1, "lost": 5,
     }  # fmt: skip
 

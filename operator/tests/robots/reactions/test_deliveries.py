@@ -120,12 +120,17 @@ class Script:
 
 
 def test_a_notification_says_everything() -> None:
-    told = json.loads(notification(EDGE, "cloud-0/d", "{agents} are near"))
-    assert told["id"] == delivery_id(EDGE) == f"{'1' * 16}-start"
-    assert (told["event"], told["edge"], told["rule"], told["agents"]) == ("1" * 16, "start", "near", ["a", "b"])
-    assert (told["time"], told["stamp"], told["trace"], told["distance_m"]) == (20, 10, "2" * 32, 1.5)
-    assert (told["detector"], told["reason"]) == ("cloud-0/d", "a, b are near")
-    assert told["causes"] == [{"topic": "/a", "stamp": 10, "values": {"x": 1.0}}]
+    document = json.loads(notification(EDGE, "cloud-0/d", "{agents} are near"))
+    assert document["id"] == delivery_id(EDGE) == f"{'1' * 16}-start"
+    assert (document["event"], document["edge"], document["rule"], document["agents"]) == (
+        "1" * 16,
+        "start",
+        "near",
+        ["a", "b"],
+    )
+    assert (document["time"], document["stamp"], document["trace"], document["distance_m"]) == (20, 10, "2" * 32, 1.5)
+    assert (document["detector"], document["reason"]) == ("cloud-0/d", "a, b are near")
+    assert document["causes"] == [{"topic": "/a", "stamp": 10, "values": {"x": 1.0}}]
 
 
 def test_webhooks_are_signed_and_tried_again(receiver: Receiver, make: Callable[..., Deliveries]) -> None:
@@ -301,10 +306,10 @@ class Sleeper(ProcessSender):
 def test_an_installed_reaction_fails_hangs_and_dies_alone(
     make: Callable[..., Deliveries], box: DeadLetterBox, tmp_path: Path
 ) -> None:
-    script, told = tmp_path / "host.py", tmp_path / "told"
+    script, written = tmp_path / "host.py", tmp_path / "told"
     script.write_text(REACTION)
     does = ["fail", "sleep", "die", "well", "refuse", "well"]
-    settings = {"file": str(told), "asleep": str(tmp_path / "asleep"), "does": does}
+    settings = {"file": str(written), "asleep": str(tmp_path / "asleep"), "does": does}
     sender = Sleeper("whisper", settings, 0.5, [sys.executable, str(script)])
     sender.asleep = tmp_path / "asleep"
     deliveries = make(sender)
@@ -312,7 +317,9 @@ def test_an_installed_reaction_fails_hangs_and_dies_alone(
         deliveries.react(delivery(number))
     until(lambda: deliveries.counts()["delivered"] == 2)
     assert deliveries.counts()["retries"] == 3
-    assert [line[-7] for line in told.read_text().split()] == ["1"] * 6, "the document of the edge, each time the same"
+    assert [line[-7] for line in written.read_text().split()] == ["1"] * 6, (
+        "the document of the edge, each time the same"
+    )
     assert [letter["reason"] for letter in box.documents()] == ["whisper: ValueError: never"]
     assert deliveries.stop(5.0)
 
@@ -354,8 +361,8 @@ def test_the_end_is_heard_while_nothing_is_to_do(
 ) -> None:
     monkeypatch.setattr(module, "WAIT_SECONDS", 600)
     sender = Script(None)
-    told = make(sender)
-    until(lambda: not told.unreachable, "the receiver found")
-    assert told.stop(WAIT_SECONDS_MAX)
+    deliveries = make(sender)
+    until(lambda: not deliveries.unreachable, "the receiver found")
+    assert deliveries.stop(WAIT_SECONDS_MAX)
     assert sender.closed
-    assert told.counts()["waiting"] == 0
+    assert deliveries.counts()["waiting"] == 0

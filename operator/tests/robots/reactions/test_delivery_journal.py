@@ -292,9 +292,9 @@ def process(tmp_path: Path) -> Iterator[Callable[[DeliverySender], tuple[Deliver
         box = DeadLetterBox(time.time_ns)
         journals.append(DeliveryJournal(DeliveryFile(tmp_path), box, time.time_ns, time.monotonic))
         journals[-1].start()
-        told = Deliveries("told", sender, 60.0, box, time.monotonic, ReactionJournal(journals[-1], HOOK, "told"))
-        told.start()
-        return journals[-1], told, box
+        deliveries = Deliveries("told", sender, 60.0, box, time.monotonic, ReactionJournal(journals[-1], HOOK, "told"))
+        deliveries.start()
+        return journals[-1], deliveries, box
 
     yield begin
     for journal in journals:
@@ -304,18 +304,18 @@ def process(tmp_path: Path) -> Iterator[Callable[[DeliverySender], tuple[Deliver
 def test_what_is_not_delivered_when_the_process_ends_is_left_to_the_next_one(
     process: Callable[[DeliverySender], tuple[DeliveryJournal, Deliveries, DeadLetterBox]],
 ) -> None:
-    journal, told, box = process(Receiver(away=True))
+    journal, deliveries, box = process(Receiver(away=True))
     for number in range(3):
-        told.react(delivery(number))
+        deliveries.react(delivery(number))
     until(lambda: journal.document()["kept"] == 3)
     journal.end()
-    assert not told.stop(0.3)
+    assert not deliveries.stop(0.3)
     assert box.documents() == []
     assert journal.stop(5.0)
     there = Receiver()
-    journal, told, box = process(there)
-    told.react(delivery(7))
-    until(lambda: told.counts()["delivered"] == 4)
+    journal, deliveries, box = process(there)
+    deliveries.react(delivery(7))
+    until(lambda: deliveries.counts()["delivered"] == 4)
     assert there.sent == ids(0, 1, 2, 7), "what was left comes first"
     until(lambda: journal.document()["kept"] == 0)
 
@@ -323,10 +323,10 @@ def test_what_is_not_delivered_when_the_process_ends_is_left_to_the_next_one(
 def test_what_a_reaction_that_is_left_out_of_the_settings_has_not_delivered_is_a_dead_letter(
     process: Callable[[DeliverySender], tuple[DeliveryJournal, Deliveries, DeadLetterBox]],
 ) -> None:
-    journal, told, box = process(Receiver(away=True))
-    told.react(delivery(1))
+    journal, deliveries, box = process(Receiver(away=True))
+    deliveries.react(delivery(1))
     until(lambda: journal.document()["kept"] == 1)
-    assert not told.stop(0.3)
+    assert not deliveries.stop(0.3)
     until(lambda: [letter["id"] for letter in box.documents()] == ids(1))
     until(lambda: journal.document()["kept"] == 0)
 

@@ -85,17 +85,17 @@ def lost(way: RecordedPath, topic: str) -> list[int]:
 
 
 def test_the_audit_has_what_the_ledgers_say_is_missing(way: RecordedPath) -> None:
-    told = audits(way.reader, RECORDING)
+    audited = audits(way.reader, RECORDING)
     clouds = [m.stamp for m in stored_messages(way.reader, way.segments, RECORDING) if m.topic == CLOUDS]
-    assert set(told) == {*POSES, CLOUDS, TRANSFORMS}
-    assert (lost(way, TRANSFORMS), told[TRANSFORMS].gaps) == ([], ())
+    assert set(audited) == {*POSES, CLOUDS, TRANSFORMS}
+    assert (lost(way, TRANSFORMS), audited[TRANSFORMS].gaps) == ([], ())
     for topic in POSES:
         gone = lost(way, topic)
         assert len(gone) <= IN_FLIGHT_MAX
-        assert sum(gap.count or 0 for gap in told[topic].gaps) == len(gone)
-        assert all(any(gap.covers(stamp) for gap in told[topic].gaps) for stamp in gone)
-    missing, gaps = lost(way, CLOUDS), told[CLOUDS].gaps
-    early, missing = missing[: told[CLOUDS].early], missing[told[CLOUDS].early :]
+        assert sum(gap.count or 0 for gap in audited[topic].gaps) == len(gone)
+        assert all(any(gap.covers(stamp) for gap in audited[topic].gaps) for stamp in gone)
+    missing, gaps = lost(way, CLOUDS), audited[CLOUDS].gaps
+    early, missing = missing[: audited[CLOUDS].early], missing[audited[CLOUDS].early :]
     assert early == [line.stamp for line in way.ledgers()[CLOUDS]][: len(early)]
     assert len(early) <= BEGIN_SECONDS_MAX * CLOUD_HZ, "clouds that were there before the first pose of each vehicle"
     assert len(missing) > (way.away - 2.0) * CLOUD_HZ / 2

@@ -255,7 +255,7 @@ def test_recordings_are_told_while_they_are_open_and_after_they_have_ended() -> 
 
     def ended() -> bool:
         bench.recordings.tick(bench.now)
-        return [told["ended"] for told in bench.recordings.documents()] == [bench.now]
+        return [document["ended"] for document in bench.recordings.documents()] == [bench.now]
 
     until(ended, "it has ended")
     [closed] = bench.recordings.documents()

@@ -24,10 +24,10 @@ def test_messages_are_published_when_they_are_due(start: Callable[..., subproces
     turns = results["in_turns"]
     assert turns["outcome"] == [due_publisher.COUNT, 0, ""]
     assert turns["took"] >= (due_publisher.COUNT - 1) * due_publisher.STEP_NS
-    for place, taken in enumerate(turns["taken"]):
-        numbers = [number for number, _ in taken]
+    for place, messages in enumerate(turns["taken"]):
+        numbers = [number for number, _ in messages]
         assert numbers == list(range(place, due_publisher.COUNT, 2))
-        assert all(after >= number * due_publisher.STEP_NS for number, after in taken), "none before its time"
+        assert all(after >= number * due_publisher.STEP_NS for number, after in messages), "none before its time"
     assert turns["turns"] >= 1, "another thread ran meanwhile"
 
     assert results["past"] == [3, 1, ""]

@@ -30,12 +30,12 @@ class Numbered:
         self.closed = False
 
     def take_timed(self, messages_max: int) -> tuple[list[tuple[bytes, int]], int | None]:
-        taken = self.take_sent(messages_max)
-        return [(data, received) for data, received, _ in taken], taken[-1][2].number if taken else None
+        messages = self.take_sent(messages_max)
+        return [(data, received) for data, received, _ in messages], messages[-1][2].number if messages else None
 
     def take_sent(self, messages_max: int) -> list[tuple[bytes, int, MessageIdentity]]:
-        taken, self.waiting = self.waiting[:messages_max], self.waiting[messages_max:]
-        return [(b"%d" % number, number, MessageIdentity(number, number)) for number in taken]
+        messages, self.waiting = self.waiting[:messages_max], self.waiting[messages_max:]
+        return [(b"%d" % number, number, MessageIdentity(number, number)) for number in messages]
 
     def close(self) -> None:
         self.closed = True

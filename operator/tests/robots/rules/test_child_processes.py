@@ -428,14 +428,14 @@ def test_expressions_stay_loaded_while_the_detector_rests_and_know_nothing_of_be
         "rules": [{**FORMULA, "topic": topic}],
     }
     stage.apply({**settings, "state": "inactive"})
-    for told in (["start"], ["start", "stop", "start"]):
+    for wanted in (["start"], ["start", "stop", "start"]):
         until(loaded)
         stage.detector.change_state("active")
         assert loaded(), "nothing has to be started"
         stage.say(topic, 3.0)
-        until(lambda told=told: edges() == told)
+        until(lambda wanted=wanted: edges() == wanted)
         stage.detector.change_state("inactive")
-        assert edges() == [*told, "stop"]
+        assert edges() == [*wanted, "stop"]
     stage.detector.stop()
 
 

@@ -24,8 +24,8 @@ class Endpoint:
     matched: int = 1
 
     def take(self, messages_max: int = 1000) -> list[bytes]:
-        taken, self.waiting = self.waiting[:messages_max], self.waiting[messages_max:]
-        return taken
+        messages, self.waiting = self.waiting[:messages_max], self.waiting[messages_max:]
+        return messages
 
     def publish(self, data: bytes) -> None:
         self.published.append(data)

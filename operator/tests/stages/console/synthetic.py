@@ -244,9 +244,9 @@ class Fleet:
                 since = now_ms // 600_000 * 600_000 - 45_000
                 known = {"rate_hz": 0.0 if silent else rate, "silent_since_ms": since if silent else None}
                 unknown = {"rate_hz": None, "silent_since_ms": None, "matched": None, "problem": NOT_READY}
-                told = unknown if number % 9 == 4 else known
-                over = {"over_seconds": None if told is unknown else 5}
-                links[f"{name}/mqtt-bridge/out{link['topic']}"] = link | told | over
+                state = unknown if number % 9 == 4 else known
+                over = {"over_seconds": None if state is unknown else 5}
+                links[f"{name}/mqtt-bridge/out{link['topic']}"] = link | state | over
         return links
 
     def recordings(self, now_ms: int) -> Document:

@@ -46,8 +46,8 @@ class MemoryTopic:
         self.closed = False
 
     def drain(self, messages_max: int) -> Sequence[tuple[bytes, int]]:
-        taken, self.waiting = self.waiting[:messages_max], self.waiting[messages_max:]
-        return taken
+        messages, self.waiting = self.waiting[:messages_max], self.waiting[messages_max:]
+        return messages
 
     def close(self) -> None:
         self.closed = True

@@ -171,9 +171,9 @@ class RealNodes:
             nonlocal seen
             now = self._judged()
             seen = 0 if now < seen else seen  # rules that were replaced meanwhile count from the beginning
-            taken = _taken(server, protocol)
-            if taken or now > seen:
-                arrived.append(taken)
+            received = _taken(server, protocol)
+            if received or now > seen:
+                arrived.append(received)
             return bool(arrived)
 
         until(decided, "it arrives or is dropped", ANSWER_SECONDS_MAX)

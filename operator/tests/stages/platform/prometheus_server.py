@@ -67,9 +67,9 @@ def scrape(monitor: Mapping[str, Any], kubeconfig: Path) -> dict[str, Any]:
     [endpoint] = spec["podMetricsEndpoints"]
     wanted = [(f"{POD}_label_{_plain(key)}", value) for key, value in spec["selector"]["matchLabels"].items()]
     wanted.append((f"{POD}_container_port_name", endpoint["port"]))
-    taken = {"namespace": "__meta_kubernetes_namespace", "pod": f"{POD}_name"}
-    taken["job"] = f"{POD}_label_{_plain(spec['jobLabel'])}"
-    taken |= {_plain(label): f"{POD}_label_{_plain(label)}" for label in spec["podTargetLabels"]}
+    labels = {"namespace": "__meta_kubernetes_namespace", "pod": f"{POD}_name"}
+    labels["job"] = f"{POD}_label_{_plain(spec['jobLabel'])}"
+    labels |= {_plain(label): f"{POD}_label_{_plain(label)}" for label in spec["podTargetLabels"]}
     return {
         "job_name": monitor["metadata"]["name"],
         "metrics_path": endpoint["path"],
@@ -83,7 +83,7 @@ def scrape(monitor: Mapping[str, Any], kubeconfig: Path) -> dict[str, Any]:
         "relabel_configs": [
             *({"action": "keep", "source_labels": [label], "regex": value} for label, value in wanted),
             {"action": "drop", "source_labels": [f"{POD}_phase"], "regex": "Succeeded|Failed"},
-            *({"source_labels": [label], "target_label": name} for name, label in taken.items()),
+            *({"source_labels": [label], "target_label": name} for name, label in labels.items()),
         ],
     }
 

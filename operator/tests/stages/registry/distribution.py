@@ -88,8 +88,8 @@ def running(program: Path, folder: Path) -> Iterator[Distribution]:
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05})
     thread.start()
     try:
-        taken = _taking_tokens(folder, tokens, f"https://{LOOPBACK}:{server.server_port}/token")
-        with _process(program, folder, LOOPBACK, {"auth": taken}) as host:
+        server_of_tokens = _taking_tokens(folder, tokens, f"https://{LOOPBACK}:{server.server_port}/token")
+        with _process(program, folder, LOOPBACK, {"auth": server_of_tokens}) as host:
             yield Distribution(host, written(folder / "ca", authority), tokens, folder / "log")
     finally:
         server.shutdown()

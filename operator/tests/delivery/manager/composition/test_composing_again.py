@@ -129,9 +129,9 @@ class History:
 
     def hand_over(self) -> None:
         paths = sorted(self.present)
-        taken = frozenset(self.chance.sample(paths, len(paths) // 10))
-        self.others = {path: self.present[path] for path in taken}
-        self.present = {path: release for path, release in self.present.items() if path not in taken}
+        changed = frozenset(self.chance.sample(paths, len(paths) // 10))
+        self.others = {path: self.present[path] for path in changed}
+        self.present = {path: release for path, release in self.present.items() if path not in changed}
 
 
 @dataclass(frozen=True)

@@ -124,8 +124,8 @@ def test_a_type_that_no_bridge_knows_is_refused_where_a_bridge_would_carry_it() 
 
 def interface(direction: str, name: str, kind: str, reliability: str, durability: str) -> dict[str, Any]:
     qos = {"reliability": reliability, "durability": durability}
-    told = {"name": direction, "medium": "ros", "direction": direction, "topic": name}
-    return {**told, "type": kind, "qos": qos}
+    declared = {"name": direction, "medium": "ros", "direction": direction, "topic": name}
+    return {**declared, "type": kind, "qos": qos}
 
 
 OPENING = [

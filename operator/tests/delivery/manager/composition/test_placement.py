@@ -178,8 +178,8 @@ def test_tasks_keep_away_from_others_in_both_directions() -> None:
         "roadside-0: runs a-t0, which the task keeps away from"
         in refusal(compose([demand(first), demand(only)], inputs()), "ops/t1").message
     )
-    taken = compose([demand(first)], inputs()).releases
-    assert refusal(compose([demand(only)], inputs(others=taken)), "ops/t1").reason == "NoCapableNode"
+    placed = compose([demand(first)], inputs()).releases
+    assert refusal(compose([demand(only)], inputs(others=placed)), "ops/t1").reason == "NoCapableNode"
 
 
 def test_instances_of_a_service_are_spread_where_the_application_asks_for_it() -> None:

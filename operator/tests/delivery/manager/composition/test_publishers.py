@@ -31,8 +31,8 @@ BRIDGE = application(
 
 
 def publishing(name: str, topic: str = "{{ values.topic }}") -> tuple[str, str]:
-    told = {"name": "said", "medium": "ros", "direction": "out", "topic": topic, "type": "std_msgs/msg/String"}
-    return chart(name, interfaces=[{**told, "qos": QOS}])
+    interface = {"name": "said", "medium": "ros", "direction": "out", "topic": topic, "type": "std_msgs/msg/String"}
+    return chart(name, interfaces=[{**interface, "qos": QOS}])
 
 
 def service(name: str, topic: str = OBJECTS, agent: str = "vehicle-00", **more: Any) -> dict[str, Any]:
@@ -123,8 +123,8 @@ def test_a_type_that_nothing_is_known_of_does_not_hide_who_publishes() -> None:
 
 @pytest.mark.parametrize("direction", ["in", "out"])
 def test_a_topic_that_is_too_long_for_ros_is_refused(direction: str) -> None:
-    told = {"name": "said", "medium": "ros", "direction": direction, "topic": "{{ values.topic }}"}
-    long = chart("other", interfaces=[{**told, "type": "std_msgs/msg/String", "qos": QOS}])
+    interface = {"name": "said", "medium": "ros", "direction": direction, "topic": "{{ values.topic }}"}
+    long = chart("other", interfaces=[{**interface, "type": "std_msgs/msg/String", "qos": QOS}])
     asked = composed({"services": [service("one")]}, {"services": [service("other", f"{LONGEST}x")]}, long)
     assert outcome(asked) == Refused(
         "CompositionFailed",

@@ -79,15 +79,15 @@ def crossing(cables: EmulatedCables, length: int = LENGTH) -> tuple[bytes, int]:
     thread = threading.Thread(target=send)
     thread.start()
     server.settimeout(20)
-    taken, _ = server.accept()
-    taken.settimeout(20)
+    connection, _ = server.accept()
+    connection.settimeout(20)
     received = b""
-    while data := taken.recv(65536):
+    while data := connection.recv(65536):
         received += data
     thread.join()
     info = client.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 104)
     sent.append(int.from_bytes(info[TCP_INFO_TOTAL_RETRANSMITS], "little"))
-    for one in (taken, server, client):
+    for one in (connection, server, client):
         one.close()
     return received, sent[0]
 
