@@ -14,7 +14,8 @@ from typing import Any
 from ci.errors import SetUpError
 
 NAMESPACE, PLATFORM = "argocd", "robotkube"
-KEPT, KEY = "argocd-before", "objects.json"
+KEPT = "argocd-before"
+KEY = "objects.json"
 MAPS = ("argocd-cm", "argocd-rbac-cm", "argocd-tls-certs-cm")
 SECRET = "argocd-secret"  # noqa: S105 - the object's name
 WRITTEN = ("webhook.", "accounts.manager.")  # keys of that Secret; others stay where they are

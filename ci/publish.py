@@ -49,12 +49,15 @@ from robotkube.registry.publication.adapters import submission_folders as source
 from robotkube.registry.publication.loops.submitting import REFUSED, SubmissionOutcome
 from robotkube.registry.publication.ports import ChartSource, SubmittedSources
 
-NAMESPACE, SERVICE, PORT = "robotkube", "forge", 3000
+NAMESPACE = "robotkube"
+SERVICE = "forge"
+PORT = 3000
 AUTHORITIES = "robotkube-ca"
 IMAGE_ACCOUNT = "image-publisher"
 PERSON = "operator-team"
 PULL_ACCOUNT = "nodes"  # that nodes pull images with
-CHARTS, REGISTRY = PROJECT / "charts" / "apps", PROJECT / "registry"
+CHARTS = PROJECT / "charts" / "apps"
+REGISTRY = PROJECT / "registry"
 EARLIER = PROJECT / "charts" / "earlier"
 BASE = ("bag-player", "event-detector", "mqtt-bridge")
 WAIT_SECONDS_MAX = 60.0  # for a forge that does not answer

@@ -61,7 +61,8 @@ class Steps:
         head = f"[{self.number}/{self.total}]"
         if screen.screen() is None:
             print(f"{head} {title} ...", file=sys.stderr, flush=True)
-        step, began = Step(title), time.monotonic()
+        step = Step(title)
+        began = time.monotonic()
         kind = f"{title} of {of}" if of else title
         _running.append(step)
         try:

@@ -230,7 +230,8 @@ def failures(finished: Iterable[Result]) -> list[str]:
 
 def table(finished: Sequence[Result]) -> str:
     """One line per group, and the closing line with the sums. No goal holds for one that ran beside another."""
-    lines, sums = ["group      passed  failed skipped  seconds    goal"], [0, 0, 0]
+    lines = ["group      passed  failed skipped  seconds    goal"]
+    sums = [0, 0, 0]
     names = [one.group.name for one in finished]
     for one in finished:
         counts = (one.passed, one.failed, one.skipped)

@@ -127,7 +127,8 @@ class Existing(ReachedThroughApiServer):
     def down(self) -> tuple[str, ...]:
         """See NodesProvider.down: first what was installed, then the labels of Nodes."""
         there = [name for name in (NAMESPACE, GATE, ARGOCD) if self._is_added(self._nodes.namespace(name))]
-        changes, files = self._nodes.planned(labels.removing), self.brought()
+        changes = self._nodes.planned(labels.removing)
+        files = self.brought()
         if there or changes or files:
             goes = [removing.goes(self._installer(), ADDED)] if there else []
             self._nodes.agree([*goes, *changes, *(f"file {file} goes" for file in files)])

@@ -24,7 +24,9 @@ KEPT_KINDS = (
     "PersistentVolumeClaim",
 )
 """Kinds of which the chart has Helm keep any."""
-UNINSTALL_SECONDS_MAX, GONE_SECONDS_MAX, ANSWER_SECONDS_MAX = 300, 300, 120
+UNINSTALL_SECONDS_MAX = 300
+GONE_SECONDS_MAX = 300
+ANSWER_SECONDS_MAX = 120
 OF_ARGOCD = (
     *(("CustomResourceDefinition", name) for name in DEFINITIONS),
     ("ClusterRoleBinding", READER),

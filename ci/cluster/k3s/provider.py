@@ -55,7 +55,8 @@ class K3s(Existing):
                 f"context {self.name}: kubelets of k3s have {nodes.MARK} in their version, and these have not: "
                 f"{', '.join(others)}; CLUSTER=existing takes Nodes of any cluster"
             )
-        classes, stated = self._nodes.storage_classes(), self._with_given({}).get("storage")
+        classes = self._nodes.storage_classes()
+        stated = self._with_given({}).get("storage")
         if STORAGE not in classes and not (isinstance(stated, dict) and stated.get("className")):
             there = ", ".join(sorted(classes)) or "none"
             raise InputError(

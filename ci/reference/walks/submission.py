@@ -61,11 +61,13 @@ from robotkube.testing.publishing import (
     ScriptedTrials,
 )
 
-CHART, VERSION = "chart-of-the-walk", "0.1.0"
+CHART = "chart-of-the-walk"
+VERSION = "0.1.0"
 VERIFIED = "verified"
 CHARTS = f"oci://forge.example/{VERIFIED}"
 TOKEN = "token of the walk"  # noqa: S105
-SECONDS_MAX, PAUSE_SECONDS = 30.0, 0.01
+SECONDS_MAX = 30.0
+PAUSE_SECONDS = 0.01
 SCHEMA = {"type": "object", "properties": {"rate": {"type": "integer"}}}
 POLICY = {
     "apiVersion": "registry.robotkube.io/v1alpha1",

@@ -206,7 +206,9 @@ def fresh(stage: Stage) -> None:
 def test_a_renewal_loses_no_request(stage: Stage, tmp_path: Path) -> None:
     """Requests of our clients on connections that are kept and on new ones, by Git, to the registry and to the forge's
     API, while it starts anew. It ends connections meanwhile: those that it accepted as its last."""
-    ended, lost, asked = threading.Event(), [], [0] * ASKING
+    ended = threading.Event()
+    lost = []
+    asked = [0] * ASKING
 
     def ask(number: int, attempt: Callable[[], object]) -> None:
         while not ended.is_set():

@@ -120,7 +120,9 @@ def publishing(installation: Installation, tmp_path: Path) -> Iterator[Publishin
 def test_what_was_built_is_published_once_and_its_evidence_kept(
     installation: Installation, publishing: Publishing, access: publish.PublishingAccounts, tmp_path: Path
 ) -> None:
-    built, said, kept = images(tmp_path, b"one"), list[str](), tmp_path / "kept"
+    built = images(tmp_path, b"one")
+    said = list[str]()
+    kept = tmp_path / "kept"
     first = publish.publish_to(access, built, kept, said.append)
     assert first.outcome.verdict == PUBLISHED
     assert {chart.name.split()[0] for chart in first.outcome.charts} == set(publish.BASE)

@@ -20,7 +20,9 @@ class Running:
     """A platform with one task, or none; `answer` is the manager's to /explain."""
 
     def __init__(self, answer: Mapping[str, Any] | None, releases: tuple[str, ...] = ("a/b",)) -> None:
-        self.answer, self.asked, self.changed = answer, list[Any](), list[Any]()
+        self.answer = answer
+        self.asked = list[Any]()
+        self.changed = list[Any]()
         self.present: Mapping[str, Any] | None = {"spec": PRESENT, "status": {"releases": releases}}
         self.created = 0
 

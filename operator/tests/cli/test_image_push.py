@@ -31,7 +31,9 @@ class Publisher:
     """The commands of somebody with the account `publisher`, in the sources of one new application."""
 
     def __init__(self, installation: Installation, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-        self.url, self.folder, self._capsys = installation.url, folder, capsys
+        self.url = installation.url
+        self.folder = folder
+        self._capsys = capsys
         self._password = folder / "password"
         self._password.write_text(installation.passwords["publisher"])
         write_sources(folder, CHART)
@@ -138,7 +140,9 @@ def test_the_gate_copies_it_to_where_nodes_pull_and_nobody_else_writes(
 ) -> None:
     write_archive(publisher.folder / "copied.tar", [COMPRESSIONS["gzip"](made_layer(FILES))])
     row = publisher.push(publisher.folder / "copied.tar", "--registry", str(publisher.folder / "registry"))
-    source, target, digest = "staging-publisher/images/copied", "own-images/copied", row["digest"]
+    source = "staging-publisher/images/copied"
+    target = "own-images/copied"
+    digest = row["digest"]
     registry.attach(source, digest, "text/plain", b"something else", {})
     gate, nodes = (OciRegistry(installation.url, name, installation.passwords[name]) for name in ("gate", "nodes"))
     with gate, nodes:

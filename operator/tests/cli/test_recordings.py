@@ -226,7 +226,9 @@ def test_what_was_received_is_the_sum_of_what_stands_beside_it() -> None:
 def without_clouds() -> Memory:
     """A recording that lists clouds, and got none, nor a transform of any vehicle."""
     memory = Memory()
-    memory.entries, memory.files, memory.told = [], [], memory.told[:1]
+    memory.entries = []
+    memory.files = []
+    memory.told = memory.told[:1]
     memory.document["topics"]["/vehicles/{agent}/transform"] = {"type": "t", "storage": "document", "latched": True}
     return memory
 

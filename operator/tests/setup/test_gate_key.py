@@ -95,7 +95,9 @@ def test_a_key_is_made_and_believed_wherever_somebody_verifies(tmp_path: Path) -
 def test_running_again_changes_nothing() -> None:
     objects = Objects()
     provide_key(objects, None, new_key_pair)
-    secret, maps, writes = objects.secret, objects.public_keys(), objects.writes
+    secret = objects.secret
+    maps = objects.public_keys()
+    writes = objects.writes
     assert provide_key(objects, None, new_key_pair) == Provided("kept", 1)
     assert (objects.secret, objects.public_keys(), objects.writes) == (secret, maps, writes)
 

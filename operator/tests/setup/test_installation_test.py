@@ -45,8 +45,14 @@ class Stage:
         faults: Sequence[Exception | None] = (),
     ) -> None:
         self.faults = list(faults)  # of the database, one for each question; None: it answers
-        self.task, self.after, self.ends, self.seconds = task, after, ends, 0.0
-        self.asked, self.withdrawn_at, self.stays, self.going_on = False, None, False, True
+        self.task = task
+        self.after = after
+        self.ends = ends
+        self.seconds = 0.0
+        self.asked = False
+        self.withdrawn_at = None
+        self.stays = False
+        self.going_on = True
         self.refused: Exception | None = None
 
     def ask(self) -> None:

@@ -42,7 +42,10 @@ class Releases:
     """Applications that go one per look once they are withdrawn; `faults` are raised first."""
 
     def __init__(self, names: Sequence[str], faults: Sequence[Exception] = (), stuck: bool = False) -> None:
-        self.names, self.faults, self.stuck, self.withdrawn = list(names), list(faults), stuck, False
+        self.names = list(names)
+        self.faults = list(faults)
+        self.stuck = stuck
+        self.withdrawn = False
 
     def withdraw(self) -> bool:
         if self.faults:

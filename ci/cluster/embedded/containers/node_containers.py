@@ -28,9 +28,12 @@ from ci.cluster.embedded.network.pod_links import SETTLED_NS
 STATE = Path("run/containerd")
 RUNNING = (STATE / "io.containerd.runtime.v2.task", STATE / "io.containerd.sandbox.controller.v1.shim")
 RECORDED = STATE / "io.containerd.grpc.v1.cri/sandboxes"
-LINKS, PODS = Path("container-links"), Path("kubelet/pods")
+LINKS = Path("container-links")
+PODS = Path("kubelet/pods")
 SPECIFICATION = "config.json"
-RECORDS, MADE, WAITS = "runc", "state.json", "exec.fifo"
+RECORDS = "runc"
+MADE = "state.json"
+WAITS = "exec.fifo"
 ANNOTATIONS = "io.kubernetes.cri."
 PROGRAM_CHARACTERS_MAX = 200
 Seen = tuple[Path, str, str, int]  # a container's folder, its namespace, its id, and when its files were made

@@ -105,7 +105,8 @@ class NetworkEmulation:
         far = next((node for node in nodes if node.role == PLATFORM), None)
         if far is None:
             raise SetUpError(f"cluster {self._folders.name} has no node of role {PLATFORM} to probe cables against")
-        holders, addresses = enforcement.holders(self._folders), {node.name: node.address for node in nodes}
+        holders = enforcement.holders(self._folders)
+        addresses = {node.name: node.address for node in nodes}
         ends = {
             agent: Ends(
                 _namespace(holders[cable.node]), addresses[cable.node], _namespace(holders[far.name]), far.address
@@ -164,7 +165,9 @@ class NetworkEmulation:
             self._make_one(cable)
 
     def _make_one(self, cable: EmulatedCable) -> None:
-        wiring, conditions, own = cable.wiring, cable.conditions, self._inside(cable.node)
+        wiring = cable.wiring
+        conditions = cable.conditions
+        own = self._inside(cable.node)
         run(["nft", "-f", "-"], rules.machine_rules(wiring, conditions))
         run(["ip", "-batch", "-"], "\n".join(rules.switched(wiring)))
         run([*own, "ip", "-batch", "-"], rules.cut(on=True))

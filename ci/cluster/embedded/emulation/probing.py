@@ -19,7 +19,8 @@ from pathlib import Path
 from ci.cluster.embedded.network.namespaces import inside
 from ci.cluster_contract.network_conditions import Measured, NetworkConditions
 
-ROUND_TRIPS, PAUSE_SECONDS = 100, 0.01
+ROUND_TRIPS = 100
+PAUSE_SECONDS = 0.01
 ANSWER_SECONDS_MAX = 2.0  # of the last round trip; also how long a silent cable is listened to
 FLOOD_SECONDS = 1.2
 RATE_AFTER_SECONDS = 0.3  # so long a rate settles
@@ -29,7 +30,8 @@ QUIET_SECONDS = 0.3
 PAYLOAD_BYTES, FRAME_BYTES = 1400, 1400 + 8 + 20 + 14
 SOCKET_BYTES = 8 * 2**20
 SO_SNDBUFFORCE, SO_RCVBUFFORCE, SO_TIMESTAMPNS = 32, 33, 35
-NUMBER, TIMESTAMP = struct.Struct("!I"), struct.Struct("@qq")
+NUMBER = struct.Struct("!I")
+TIMESTAMP = struct.Struct("@qq")
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,8 @@ def probe(ends: Mapping[str, Ends], conditions: Mapping[str, NetworkConditions])
 
 def _probed(ends: Ends, asked: NetworkConditions, trips: Sequence[float | None]) -> Measured:
     known = sorted(1000 * seconds for seconds in trips if seconds is not None)
-    sent, lost = len(trips), len(trips) - len(known)
+    sent = len(trips)
+    lost = len(trips) - len(known)
     rates: list[float | None] = []
     for mbit, upwards in ((asked.up_mbit, True), (asked.down_mbit, False)):
         rate = flood(ends, mbit, upwards) if mbit else None

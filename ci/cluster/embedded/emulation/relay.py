@@ -120,7 +120,8 @@ def main() -> None:
     folders = ClusterFolders(parser.parse_args().name)
     settings = json.loads((folders.base / f"{NAME}.settings.json").read_text(encoding="utf-8"))
     by_source = {one.source: one for one in directions(settings["cables"])}
-    reported, due = None, 0.0
+    reported = None
+    due = 0.0
     stopping = threading.Event()
     signal.signal(signal.SIGTERM, lambda *_: stopping.set())
     while not stopping.is_set():

@@ -78,7 +78,8 @@ def _read(path: Path) -> PodLink | None:
 
 def read_link(document: Any) -> PodLink:
     """The link of a result of libcni (its form `cniCacheV1`). ValueError, KeyError or TypeError when it is none."""
-    result, words = document["result"], dict(document["cniArgs"])
+    result = document["result"]
+    words = dict(document["cniArgs"])
     [number] = [at for at, one in enumerate(result["interfaces"]) if one["name"] == INTERFACE and one.get("sandbox")]
     [address] = {str(IPv4Interface(one["address"]).ip) for one in result["ips"] if one["interface"] == number}
     # The plug-in names the bridge first, then the port it made on it.

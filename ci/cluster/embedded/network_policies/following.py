@@ -227,7 +227,9 @@ def follow(
     """Step for ever. `wait` returns after so many seconds, or at once (True) when an object has changed. Now and then
     everything is read again, whatever was heard of. What keeps it from following is logged when it comes and when it is
     another thing, and reported."""
-    changed, problem, reported = True, "", float("-inf")
+    changed = True
+    problem = ""
+    reported = float("-inf")
     while True:
         before = (problem, following.policies, following.nodes)
         due = not 0 <= clock() - reported < REPORT_SECONDS

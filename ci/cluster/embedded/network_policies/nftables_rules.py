@@ -122,7 +122,8 @@ class Rulebook:
 
     def _named(self, port: Port, to: Networks) -> Iterator[str]:
         """A port that each target's pod gives its own number."""
-        protocol, name = port.protocol, str(port.port)
+        protocol = port.protocol
+        name = str(port.port)
         meant = [pod for pod in self._pods.values() if (protocol, name) in pod.ports and _within(pod.address, to)]
         pairs = sorted((IPv4Address(pod.address), pod.ports[protocol, name]) for pod in meant)
         if pairs:

@@ -107,7 +107,9 @@ def test_the_pair_meets_as_often_as_asked_and_stays_apart_long_enough(encounters
     parameters = definition.load(FOLDER, [f"encounters={encounters}"]).parameters
     time = np.arange(0, routes.duration_seconds(parameters), 0.01)
     distance = routes.distance(routes.motion(parameters, 0, time), routes.motion(parameters, 1, time))
-    starts, stops, active = [], [], False
+    starts = []
+    stops = []
+    active = False
     for moment, value in zip(time, distance, strict=True):
         if not active and value < parameters.start_distance_m:
             active = starts.append(moment) or True

@@ -110,7 +110,9 @@ def test_perception_on_the_road_side_unit_follows_both_vehicles(
     whenever it is within the range that is guaranteed."""
     bag, tracker = open_bag(made["roadside-0"]), Tracker(TrackerSettings(STEADY, 4.0, 1.0))
     topic, parameters = definition.cloud_topic("roadside-0"), passing.parameters
-    identities, missed, clouds = set(), [], 0
+    identities = set()
+    missed = []
+    clouds = 0
     for name, moment, data in bag.messages():
         if name != topic:
             continue

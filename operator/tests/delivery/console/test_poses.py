@@ -50,7 +50,9 @@ def test_what_is_no_pose(message: bytes) -> None:
 
 @pytest.mark.parametrize("beat_ms", [10, 40, 70, 260, 499])
 def test_however_often_poses_come_two_a_second_are_kept(beat_ms: int) -> None:
-    kept, batch, now = sampler(), encode_batch(1, 0, [pose()]), 1_000_000
+    kept = sampler()
+    batch = encode_batch(1, 0, [pose()])
+    now = 1_000_000
     times = [now + at for at in range(0, 60_000, beat_ms) if kept.sample(TOPIC, batch, now + at)]
     assert 115 <= len(times) <= 121
 

@@ -26,7 +26,9 @@ from robotkube.registry.charts.core.values_schemas import overlay
 from tests.stages.attacks import shown
 
 ACCOUNT, TERM = "manager", 7
-TIP, PLAN, OLD_PLAN = "a" * 40, "20261121-100000-000001", "20261121-090000-000001"
+TIP = "a" * 40
+PLAN = "20261121-100000-000001"
+OLD_PLAN = "20261121-090000-000001"
 DIGEST, NEWER = "sha256:" + "1" * 64, "sha256:" + "2" * 64
 URL = "oci://forge:3000/verified"
 SUMMARY, OTHER_SUMMARY = "sha256:" + "5" * 64, "sha256:" + "6" * 64

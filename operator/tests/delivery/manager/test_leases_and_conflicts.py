@@ -182,7 +182,9 @@ def test_foresight_tells_what_would_happen_and_does_nothing(narrow: Stage) -> No
     narrow.settle()
     document = {"metadata": {"namespace": "cloud-0", "name": "high"}, "spec": dict(narrow.tasks.objects[low]["spec"])}
     document["spec"] |= {"parameters": {"vehicles": list(SECOND)}, "priority": 500, "conflictPolicy": "Preempt"}
-    tip, patches, releases = narrow.repository.tip, narrow.tasks.patches, narrow.releases()
+    tip = narrow.repository.tip
+    patches = narrow.tasks.patches
+    releases = narrow.releases()
     explanation = narrow.manager.planner.what_if(document)
     assert isinstance(explanation.outcome, Met)
     assert any(line.startswith("cloud-0/low is refused, Preempted: gave way") for line in explanation.lines)

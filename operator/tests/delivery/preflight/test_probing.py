@@ -32,7 +32,9 @@ class Cluster:
     def __init__(self, **states: Any) -> None:
         self.states = {name.replace("_", "-"): state for name, state in states.items()}
         self.made: dict[str, Object] = {}
-        self.present, self.stays, self.lacks = False, False, ()
+        self.present = False
+        self.stays = False
+        self.lacks = ()
         self.fault: BaseException | None = None
         self.event: list[Object] = []
 
@@ -74,7 +76,10 @@ class Stage:
     """A probe on a cluster, with a clock that only sleeping moves."""
 
     def __init__(self, cluster: Cluster) -> None:
-        self.cluster, self.seconds, self.said, self.is_shielded = cluster, 0.0, [], False
+        self.cluster = cluster
+        self.seconds = 0.0
+        self.said = []
+        self.is_shielded = False
         clock = ProbeClock(lambda: self.seconds, self.sleep)
         unasked: Mapping[str, str] = {}
         self.probing = Probing(cluster, TARGET, NODES, unasked, clock, self.shielded, self.said.append)

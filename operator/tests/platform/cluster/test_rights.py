@@ -16,7 +16,9 @@ from ci.installation import GATE as GATE_NAMESPACE
 from ci.installation import KEY_SECRET
 from tests.stages.platform.running_platform import Platform
 
-MANAGER, GATE, RUNNER = "robotkube/manager", f"{GATE_NAMESPACE}/gate", "robotkube/suite-runner"
+MANAGER = "robotkube/manager"
+GATE = f"{GATE_NAMESPACE}/gate"
+RUNNER = "robotkube/suite-runner"
 CHART_UNDER_TEST = "robotkube-suite-0/application"
 SYNCING, GENERATING, SERVING = (
     f"argocd/argocd-{name}" for name in ("application-controller", "applicationset-controller", "server")

@@ -227,7 +227,9 @@ def test_an_image_is_in_the_bundle_or_the_bundle_is_refused(tmp_path: Path, mani
 
 def test_links_and_sizes_that_lead_nowhere(tmp_path: Path) -> None:
     link, back = tarfile.TarInfo("index.json"), tarfile.TarInfo("blobs/sha256/" + "0" * 64)
-    link.type, link.linkname, back.size = tarfile.SYMTYPE, "/etc/passwd", -tarfile.BLOCKSIZE
+    link.type = tarfile.SYMTYPE
+    link.linkname = "/etc/passwd"
+    back.size = -tarfile.BLOCKSIZE
     for name, headers in {"link.tar": [link], "back.tar": [tarfile.TarInfo("oci-layout"), back]}.items():
         blocks = b"".join(header.tobuf(tarfile.GNU_FORMAT) for header in headers)
         (tmp_path / name).write_bytes(blocks + b"\0" * tarfile.RECORDSIZE)

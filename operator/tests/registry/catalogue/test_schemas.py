@@ -228,7 +228,9 @@ def test_every_schema_has_a_reader() -> None:
 
 @pytest.mark.parametrize("name", sorted(KINDS))
 def test_schema_and_reader_refuse_the_same(name: str) -> None:
-    example, differences, refusals = KINDS[name][0], [], 0
+    example = KINDS[name][0]
+    differences = []
+    refusals = 0
     for path in places(example):
         for value in VALUES:
             document = changed(example, path, value)

@@ -45,7 +45,9 @@ def member(
     name: str, data: bytes = b"", kind: bytes = tarfile.REGTYPE, link: str = ""
 ) -> tuple[tarfile.TarInfo, bytes]:
     info = tarfile.TarInfo(name)
-    info.size, info.type, info.linkname = len(data), kind, link
+    info.size = len(data)
+    info.type = kind
+    info.linkname = link
     return info, data
 
 

@@ -62,7 +62,9 @@ def test_what_is_no_layer_is_refused(data: bytes) -> None:
 
 def entry(name: str, size: int = 0, kind: bytes = tarfile.REGTYPE, headers: dict[str, str] | None = None) -> bytes:
     info = tarfile.TarInfo(name)
-    info.size, info.type, info.pax_headers = size, kind, headers or {}
+    info.size = size
+    info.type = kind
+    info.pax_headers = headers or {}
     return info.tobuf(format=tarfile.PAX_FORMAT)
 
 
@@ -196,7 +198,9 @@ class Blobs:
     """Gives one layer and counts how often."""
 
     def __init__(self, data: bytes) -> None:
-        self.data, self.digest, self.asked = data, digest_of(data), 0
+        self.data = data
+        self.digest = digest_of(data)
+        self.asked = 0
 
     def __call__(self) -> Iterator[bytes]:
         self.asked += 1

@@ -118,7 +118,9 @@ class Kubelet:
     """Gives every new pod of the test namespace the status that `status(pod)` says."""
 
     def __init__(self, api: Api, status: PodStatus) -> None:
-        self._api, self._status, self._stopping = api, status, threading.Event()
+        self._api = api
+        self._status = status
+        self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run)
 
     def __enter__(self) -> Kubelet:

@@ -79,7 +79,9 @@ class Nothing:
 class Told:
     """A suite that does what a test says."""
 
-    name, version, needs_namespace = "install", "1", True
+    name = "install"
+    version = "1"
+    needs_namespace = True
 
     def __init__(self, act: Callable[[SuiteNamespace], None] = lambda namespace: None) -> None:
         self.act = act

@@ -27,7 +27,9 @@ class Clock:
     """Sleeping moves it; `stall` makes one sleep longer. `acts` are done when their time has come."""
 
     def __init__(self, now: int) -> None:
-        self.time, self.stall_at, self.stall = now, -1, 0
+        self.time = now
+        self.stall_at = -1
+        self.stall = 0
         self.acts: list[tuple[int, Callable[[], None]]] = []
 
     def now(self) -> int:

@@ -119,7 +119,10 @@ def test_what_arrives_first_arrives_in_order(actions: list[str]) -> None:
     """Whatever happens, a receiver that drops what it has seen gets ascending numbers."""
     outbox = make(OutboxBounds(60, 10, 1000, 3))
     outbox.connected(0)
-    number, token, flying, arrived = 0, 0, [], []
+    number = 0
+    token = 0
+    flying = []
+    arrived = []
     for action in actions:
         if action == "put":
             outbox.put(batch(number))

@@ -58,7 +58,9 @@ class Channel:
 
 class Stage:
     def __init__(self) -> None:
-        self.channel, self.learned, self.seconds = Channel(), list[str](), 0.0
+        self.channel = Channel()
+        self.learned = list[str]()
+        self.seconds = 0.0
         self.gaps: list[Gap] = []
         self.broker = Broker(self._make, lambda: 1_000, lambda: self.seconds, self.learned.append, self.gaps.append)
 

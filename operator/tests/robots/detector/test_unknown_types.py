@@ -12,7 +12,9 @@ from robotkube.robots.bags.adapters.writing import BagWriter
 from robotkube.robots.bags.core.playback import BagTopic
 from tests.stages.detector.rules import number
 
-OWN, TOPIC, SECOND = "rover_msgs/msg/Level", "/vehicles/vehicle_00/level", 1_000_000_000
+OWN = "rover_msgs/msg/Level"
+TOPIC = "/vehicles/vehicle_00/level"
+SECOND = 1_000_000_000
 RULE = {"name": "high", "kind": "threshold", "topic": "/vehicles/{agent}/level", "field": "data", "start_above": 5}
 
 

@@ -62,7 +62,9 @@ def test_the_layout_is_the_one_of_the_contract() -> None:
 
 @given(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 30)), max_size=100))
 def test_every_batch_is_fresh_once(arrivals: list[tuple[int, int]]) -> None:
-    seen, first, known = SeenBatches(), {}, set()
+    seen = SeenBatches()
+    first = {}
+    known = set()
     for session, sequence in arrivals:
         first.setdefault(session, sequence)
         expected = (session, sequence) not in known and sequence >= first[session]

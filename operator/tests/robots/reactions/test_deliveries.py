@@ -103,7 +103,9 @@ class Script:
     """A sender that does what it is told: None, or an error to raise."""
 
     def __init__(self, *outcomes: Exception | None) -> None:
-        self.outcomes, self.sent, self.closed = list(outcomes), list[str](), False
+        self.outcomes = list(outcomes)
+        self.sent = list[str]()
+        self.closed = False
         self.going = threading.Event()
         self.going.set()
 
@@ -182,7 +184,9 @@ def test_a_detector_is_ready_while_its_receiver_is_there(
 ) -> None:
     """Also when there is nothing to say to it: away, back, and the page and the metric with it."""
     monkeypatch.setattr(module, "PROBE_SECONDS", 0.1)
-    server, port, stage = Receiver(unused_port), unused_port, DetectorStage(MemoryTasks())
+    server = Receiver(unused_port)
+    port = unused_port
+    stage = DetectorStage(MemoryTasks())
     hook = {"rule": "near", "kind": "webhook", "url": f"http://127.0.0.1:{port}/"}
     document = {**SETTINGS, "reactions": [hook]}
     [settings] = read_detector_settings(document, "config.yaml").deliveries

@@ -73,7 +73,9 @@ class Life:
     """One process: its journal is turned by hand."""
 
     def __init__(self, folder: Path, now: int = NOW) -> None:
-        self.disk, self.now, self.seconds = Disk(folder), now, 0.0
+        self.disk = Disk(folder)
+        self.now = now
+        self.seconds = 0.0
         self.box = DeadLetterBox(lambda: self.now)
         self.journal = DeliveryJournal(self.disk, self.box, lambda: self.now, lambda: self.seconds)
         self.hook = ReactionJournal(self.journal, HOOK, "webhook near host")
@@ -333,7 +335,9 @@ def test_what_a_reaction_that_is_left_out_of_the_settings_has_not_delivered_is_a
 
 def test_who_reacts_does_not_wait_for_a_disk_that_hangs(tmp_path: Path) -> None:
     life = Life(tmp_path)
-    hanging, over, write = threading.Event(), threading.Event(), life.disk.write
+    hanging = threading.Event()
+    over = threading.Event()
+    write = life.disk.write
 
     def hang(added: Sequence[JournalEntry], removed: Sequence[tuple[str, str]]) -> None:
         hanging.set()

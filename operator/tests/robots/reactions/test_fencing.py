@@ -66,7 +66,9 @@ class Receiver:
 
 class Stage:
     def __init__(self) -> None:
-        self.now, self.reading, self.channel = 100.0, Reading(read_at=100.0), Channel()
+        self.now = 100.0
+        self.reading = Reading(read_at=100.0)
+        self.channel = Channel()
         self.fencing = Fencing("edge-0", True, lambda: self.now)
         self.fencing.watch(self.reading)
         clock = lambda: self.now  # noqa: E731

@@ -293,7 +293,9 @@ class Pretended:
     """A process that replies when it is told to."""
 
     def __init__(self) -> None:
-        self.ready, self.failure, self.stopped = True, "", False
+        self.ready = True
+        self.failure = ""
+        self.stopped = False
         self.asked: list[RuleQuestion] = []
         self.waiting: list[Reply] = []
 

@@ -320,7 +320,9 @@ def test_sequences_are_what_trying_every_choice_gives(cases: int) -> None:
             level("a", 1), level("b", 2), level("c", 3),
             {"name": "chain", "kind": "combination", "sequence": parts, "within_seconds": 2},
         )  # fmt: skip
-        starts, stops, before = [], [], 0.0
+        starts = []
+        stops = []
+        before = 0.0
         for step in range(40):
             at = step * 0.7 + chance.choice((0, 0.25))
             value = chance.choice((0.5, 1.5, 2.5, 3.5))

@@ -39,7 +39,9 @@ class Network:
     signal; `refused` is never taken."""
 
     def __init__(self, clock: PlaybackClock | None = None) -> None:
-        self.clock, self.signals, self.refused = clock, list[int](), b""
+        self.clock = clock
+        self.signals = list[int]()
+        self.refused = b""
         self.made: list[Endpoint] = []
         self.others: list[GraphEndpoint] = []
 

@@ -29,7 +29,9 @@ class Side:
     """A bridge with a ROS network in memory and connections to the broker."""
 
     def __init__(self, broker: pods.Broker, agent: str, port: int = 0) -> None:
-        self.broker, self.agent, self.network = broker, agent, Network()
+        self.broker = broker
+        self.agent = agent
+        self.network = Network()
         self.port = port or broker.port
         self.channels: dict[str, PahoChannel] = {}
         sender = SendingSession(7, time.time_ns, lambda name: f"definition of {name}")

@@ -52,7 +52,9 @@ class RightsBroker:
     starts again does; `begin_anew` does not, as another pod. `tls`: how it proves who it is when it is `encrypted`."""
 
     def __init__(self, folder: Path, accounts: Accounts = ACCOUNTS, encrypted: bool = False) -> None:
-        self.folder, self.accounts, self.port = folder, accounts, free_port()
+        self.folder = folder
+        self.accounts = accounts
+        self.port = free_port()
         self.file = folder / "run" / "dynamic-security.json"
         self.passwords = folder / "passwords"
         self.log = folder / "log"

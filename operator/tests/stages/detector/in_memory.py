@@ -41,7 +41,9 @@ class MemoryTopic:
 
     def __init__(self, qos: QosProfile) -> None:
         self.lost = 0
-        self.qos, self.incompatible, self.violations = qos, IncompatiblePublishers(), QosViolations()
+        self.qos = qos
+        self.incompatible = IncompatiblePublishers()
+        self.violations = QosViolations()
         self.waiting: list[tuple[bytes, int]] = []
         self.closed = False
 
@@ -88,7 +90,10 @@ class MemoryTasks:
     def __init__(self) -> None:
         self.objects: dict[str, Mapping[str, Any]] = {}
         self.renewals: list[tuple[str, int]] = []
-        self.away, self.refusing, self.creations, self.looks = 0, False, 0, 0
+        self.away = 0
+        self.refusing = False
+        self.creations = 0
+        self.looks = 0
         self.answering = threading.Event()
         self.answering.set()
 
@@ -124,7 +129,10 @@ class MemoryReaction:
     """Port Reaction: keeps what it is told."""
 
     def __init__(self, name: str) -> None:
-        self.name, self.unreachable, self.told, self.stopped = name, "", list[Any](), False
+        self.name = name
+        self.unreachable = ""
+        self.told = list[Any]()
+        self.stopped = False
 
     def react(self, delivery: Any) -> None:
         self.told.append(delivery)
@@ -141,7 +149,10 @@ class DetectorStage:
     """A detector with its surroundings. `now` is the time of messages, `seconds` the monotonic time of leases."""
 
     def __init__(self, tasks: MemoryTasks, make_workers: Callable[[], Any] | None = None) -> None:
-        self.live, self.tasks, self.now, self.seconds = MemoryTopics(), tasks, NOW, 0.0
+        self.live = MemoryTopics()
+        self.tasks = tasks
+        self.now = NOW
+        self.seconds = 0.0
         self.operators: list[OperatorReactions] = []
         self.reactions: dict[str, Any] = {}
         self.recordings: list[Any] = []
@@ -224,7 +235,9 @@ class DetectorStage:
 class MemoryRecordings:
     """Keeps what it is asked for."""
 
-    ready, failed, waiting = True, "", 0
+    ready = True
+    failed = ""
+    waiting = 0
 
     def __init__(self, plan: Any, buffers: Any) -> None:
         self.plan, self.buffers = plan, buffers

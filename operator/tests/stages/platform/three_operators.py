@@ -18,7 +18,9 @@ from tests.stages.platform.table_one import BRIDGE, Pod, Stage, pose
 EDGE = "edge-0"
 CLOUDS_OPERATOR = "cloud-0/intersection-operator"
 EDGES_OPERATOR, VEHICLES_OPERATOR = f"{EDGE}/event-detector", f"{VEHICLE}/event-detector"
-OTHER_VEHICLE, MEETING_M, APART_M = "vehicle-01", 60.0, 2000.0
+OTHER_VEHICLE = "vehicle-01"
+MEETING_M = 60.0
+APART_M = 2000.0
 RECORDER = f"cloud-0/recorder-{VEHICLE}-{OTHER_VEHICLE}"
 CLOUDS_OWN = {"application": "proximity-operator", "agents": ["cloud-0"]}  # which would record the meeting as well
 Tasks = Mapping[str, Mapping[str, Any]]

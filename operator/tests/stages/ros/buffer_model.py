@@ -51,7 +51,9 @@ class ModelBuffer:
 
     def insert(self, sample: Sample) -> str:
         self.history.append(sample)
-        newest, before, self.far = self.newest, self.far, []
+        newest = self.newest
+        before = self.far
+        self.far = []
         self.behind = [*self.behind, sample.received] if newest and sample.stamp < newest.stamp else []
         if newest is None:
             return self._keep(sample)
@@ -147,7 +149,9 @@ class ModelPool:
 
 def random_messages(draw: random.Random, count: int = 60) -> Iterator[Sample]:
     """Mostly in order; now and then older, repeated, far off once, silent for long, or jumping; receive times grow."""
-    stamp, received, sent = 100_000, 100_000, []
+    stamp = 100_000
+    received = 100_000
+    sent = []
     for _ in range(count):
         kind = draw.choices(
             ["next", "older", "repeat", "outlier", "silence", "jump", "same"], [30, 6, 5, 3, 1, 1.5, 2]

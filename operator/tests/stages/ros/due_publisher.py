@@ -46,7 +46,9 @@ def main(topic: str, file: Path) -> None:
 
 def in_turns(node: RosNode, publishers: list[RosPublisher], subscriptions: list[RosSubscription]) -> dict[str, Any]:
     """Two topics in turns, on a grid; how often another thread ran meanwhile."""
-    begin, turns, ended = time.time_ns() + 10 * STEP_NS, itertools.count(), threading.Event()
+    begin = time.time_ns() + 10 * STEP_NS
+    turns = itertools.count()
+    ended = threading.Event()
 
     def count() -> None:
         while not ended.wait(0.001):

@@ -137,7 +137,9 @@ class RandomTypes:
                 index = self.draw.randrange(shortest)
                 path, reached = f"{path}[{index}]", [elements[index] for elements in reached]
             elif one and not simple:
-                path, reached, one = f"{path}[]", reached[0], False
+                path = f"{path}[]"
+                reached = reached[0]
+                one = False
             else:
                 return None
         if simple:

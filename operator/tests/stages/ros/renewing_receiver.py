@@ -33,7 +33,9 @@ def main(name: str, file: Path) -> None:
         TopicSettings(TopicPattern(name), "std_msgs/msg/Float64", depth=COUNT),
     )
     subscription = topics.subscribe(name, settings, QosProfile())
-    numbers, renewals, end = list[float](), 0, time.monotonic() + SECONDS_MAX
+    numbers = list[float]()
+    renewals = 0
+    end = time.monotonic() + SECONDS_MAX
     while len(numbers) < COUNT and time.monotonic() < end:
         time.sleep(0.015)
         numbers += [struct.unpack_from("<d", data, 4)[0] for data, _ in subscription.drain(1000)]

@@ -16,7 +16,9 @@ from robotkube.robots.ros.adapters.unicast_discovery import UnicastDiscovery
 
 TYPE = "std_msgs/msg/Empty"
 WORD = b"\0\1\0\0\0"
-TURNS_BEFORE, TURN_SECONDS, SECONDS_MAX = 20, 0.1, 30.0
+TURNS_BEFORE = 20
+TURN_SECONDS = 0.1
+SECONDS_MAX = 30.0
 
 
 def turn(said: RosPublisher, heard: RosSubscription) -> int:

@@ -20,7 +20,9 @@ from typing import Any
 from robotkube.robots.ros.adapters.rclpy_node import MessageIdentity, RosNode, RosPublisher, RosSubscription
 
 COUNT, LONG_BYTES = 10, 1_000_000
-BURSTS, BURST, BURST_BYTES = 40, 500, 500 * 1000
+BURSTS = 40
+BURST = 500
+BURST_BYTES = 500 * 1000
 TYPE = "std_msgs/msg/UInt8MultiArray"
 _HEAD = struct.Struct("<4sIII")
 SECONDS_MAX = 20.0

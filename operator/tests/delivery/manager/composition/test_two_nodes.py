@@ -131,7 +131,9 @@ def test_what_runs_stays_when_nodes_come_and_go_that_it_is_not_on() -> None:
 
 
 def test_the_home_follows_what_comes_to_main() -> None:
-    memo, asked, given = Memo(), [demand(task())], inputs(catalogue(application(BOUND)), TWO)
+    memo = Memo()
+    asked = [demand(task())]
+    given = inputs(catalogue(application(BOUND)), TWO)
     composed = compose(asked, given, memo)
     assert nodes_of(composed) == {"a-t": "n1"}
     [(path, release)] = composed.releases.items()

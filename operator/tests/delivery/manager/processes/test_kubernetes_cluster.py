@@ -274,7 +274,9 @@ class ExpiredWatch(ResourceWatch):
 
     def __init__(self, version: str, *arguments: Any) -> None:
         super().__init__(*arguments)
-        self.lists, self.complaints, self._expired = 0, [], version
+        self.lists = 0
+        self.complaints = []
+        self._expired = version
 
     @property
     def complaint(self) -> str:

@@ -286,7 +286,9 @@ def in_namespace(made: dict[str, Any], namespace: str) -> dict[str, Any]:
 
 def test_the_dry_run_names_what_could_not_be_made_again(forge: Forge) -> None:
     """Before there is a platform, and then by what the forge of the cluster has on this machine."""
-    pods, deployments, applications = "/api/v1/pods", "/apis/apps/v1/deployments", APPLICATIONS
+    pods = "/api/v1/pods"
+    deployments = "/apis/apps/v1/deployments"
+    applications = APPLICATIONS
     bare = in_namespace(pod(), "vehicle-00")
     running = in_namespace(workload("Deployment"), "vehicle-00")
     of_the_platform = in_namespace(workload("Deployment", image(4)), "robotkube")
