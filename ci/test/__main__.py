@@ -57,17 +57,16 @@ def main() -> int:
 
 
 def compared(before: working_tree.Files, after: working_tree.Files, whole: bool) -> list[Result]:
-    """Say what became of the repository's files. That some changed is a failure of a `whole` run, which has tested no
-    one state of them; who runs some tests may be writing."""
+    """Say what became of the repository's files. That some changed that git had is a failure of a `whole` run, which
+    has tested no one state of them; who runs some tests may be writing."""
     if before.unread:
         print(f"\nno file was compared with what it was before the tests: {before.unread}", flush=True)
-    difference = working_tree.difference(before, after)
-    if not difference:
-        return []
-    if whole:
-        return [Result(FILES, 0, 1, 0, 0.0, {"files of the repository": difference})]
-    print(f"\nnot counted as a failure: {difference}", flush=True)
-    return []
+    difference, others = working_tree.difference(before, after), working_tree.difference_of_others(before, after)
+    failed = [Result(FILES, 0, 1, 0, 0.0, {"files of the repository": difference})] if whole and difference else []
+    for one in (*([] if failed else [difference]), others):
+        if one:
+            print(f"\nnot counted as a failure: {one}", flush=True)
+    return failed
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """Files of the repository before and after a run: tests leave all of them as they were.
 
 Compared is what git does not ignore, by content, whatever is committed meanwhile. What tests write goes into folders
-for temporary files, into `build`, or into the cache folder.
+for temporary files, into `build`, or into the cache folder. Files that git had before are told from others: who runs
+the tests may keep what they print beside them.
 """
 
 from __future__ import annotations
@@ -9,11 +10,12 @@ from __future__ import annotations
 import hashlib
 import os
 import subprocess
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 from pathlib import Path
 
-LISTED = ("git", "ls-files", "-z", "--cached", "--others", "--exclude-standard")
+LISTED = ("git", "ls-files", "-z", "--exclude-standard")
+KINDS = ("--cached", "--others")
 LIST_SECONDS_MAX = 60
 NAMED_MAX = 20
 REMEDY = (
@@ -24,23 +26,31 @@ REMEDY = (
 
 @dataclass(frozen=True)
 class Files:
-    """What each file of a folder holds, as a digest; `unread` says why that is not known, empty when it is."""
+    """What each file of a folder holds, as a digest, and which of them git has; `unread` says why that is not known,
+    empty when it is."""
 
     digests: Mapping[str, str] = field(default_factory=dict)
+    kept: Set[str] = frozenset()
     unread: str = ""
 
 
 def read(folder: Path) -> Files:
     """The files of a git checkout, those that are not added yet too; of another folder none, and why."""
-    try:
-        done = subprocess.run(LISTED, cwd=folder, capture_output=True, timeout=LIST_SECONDS_MAX, check=False)
-    except (OSError, subprocess.TimeoutExpired) as error:
-        return Files(unread=f"git cannot be asked for its files: {error}")
-    names = sorted({os.fsdecode(name) for name in done.stdout.split(b"\0") if name})
-    if done.returncode or not names:
-        reason = done.stderr.decode(errors="replace").strip().partition("\n")[0] or "git has no file of it"
-        return Files(unread=f"it is no git checkout ({reason})")
-    return Files({name: digest for name in names if (digest := _digest(folder / name))})
+    listed: dict[str, list[str]] = {}
+    for kind in KINDS:
+        try:
+            done = subprocess.run(
+                (*LISTED, kind), cwd=folder, capture_output=True, timeout=LIST_SECONDS_MAX, check=False
+            )
+        except (OSError, subprocess.TimeoutExpired) as error:
+            return Files(unread=f"git cannot be asked for its files: {error}")
+        listed[kind] = [os.fsdecode(name) for name in done.stdout.split(b"\0") if name]
+        if done.returncode or (kind == "--cached" and not listed[kind]):
+            reason = done.stderr.decode(errors="replace").strip().partition("\n")[0] or "git has no file of it"
+            return Files(unread=f"it is no git checkout ({reason})")
+    names = sorted({name for each in listed.values() for name in each})
+    digests = {name: digest for name in names if (digest := _digest(folder / name))}
+    return Files(digests, frozenset(listed["--cached"]))
 
 
 def _digest(path: Path) -> str:
@@ -59,12 +69,22 @@ def _digest(path: Path) -> str:
 
 
 def difference(before: Files, after: Files) -> str:
-    """Which files are not as they were, and what to do, in one sentence; empty when all are, or nobody knows."""
-    if before.unread:
-        return ""
-    if after.unread:
+    """Which files that git had are not as they were, and what to do, in one sentence; empty when all are, or nobody
+    knows."""
+    if not before.unread and after.unread:
         return f"git named {len(before.digests):,} files before the tests, and none since: {after.unread}"
-    became = _changes(before.digests, after.digests)
+    return _told(before, after, before.kept)
+
+
+def difference_of_others(before: Files, after: Files) -> str:
+    """The same of the files that git did not have before."""
+    return _told(before, after, (before.digests.keys() | after.digests.keys()) - before.kept)
+
+
+def _told(before: Files, after: Files, names: Set[str]) -> str:
+    if before.unread or after.unread:
+        return ""
+    became = _changes(*({name: one.digests[name] for name in names & one.digests.keys()} for one in (before, after)))
     if not became:
         return ""
     more = f", and {len(became) - NAMED_MAX:,} more" if len(became) > NAMED_MAX else ""
