@@ -46,6 +46,7 @@ NO_IDENTIFIERS = {
         "registry/bundles/core/contents.py",
         "_VERSION",
     ): "what may be a part of a file's name, in an archive of strangers",
+    ("registry/bundles/core/archives.py", "_NAME"): "a file's name, with the first letters of a digest",
     ("delivery/console/settings.py", "GROUP"): "a group as providers of sign-in name theirs",
     ("delivery/console/core/links.py", "_SERIES"): "a line of a bridge's metrics",
     ("delivery/console/adapters/web/guarding.py", "HOST_HEADER"): "an HTTP header",

@@ -96,7 +96,7 @@ REASON_TEXTS: Mapping[str, Mapping[str, str]] = {
         MERGED: "all its releases are on main",
         PROPOSED: "its pull request waits for the gate",
         WAITING: "it waits for the plan before it",
-        PROPOSAL_REFUSED: "the gate refused the plan, in the words of the message",
+        PROPOSAL_REFUSED: "the gate refused the plan, or the forge its push, in the words of the message",
         EDITED_BY_HAND: "a person removed or changed its release on main, and policies/edits.yaml respects that",
         **OBSTACLE_TEXTS,
     },
