@@ -150,7 +150,7 @@ class EncryptedBroker:
         beside = self.children()
         self.process.send_signal(signal.SIGTERM)
         code = self.process.wait(10)
-        until(lambda: not any(one.exists() for one in beside), "the end of what ran beside the broker")
+        until(lambda: all(map(_ended, beside)), "the end of what ran beside the broker")
         return code
 
 
@@ -199,7 +199,19 @@ class Turned:
 
 
 def _parent(process: Path) -> int:
+    facts = _facts(process)
+    return int(facts[1]) if facts else 0
+
+
+def _ended(process: Path) -> bool:
+    """Also when whoever has become its parent has not asked how: some look for that every two seconds."""
+    facts = _facts(process)
+    return not facts or facts[0] == "Z"
+
+
+def _facts(process: Path) -> list[str]:
+    """Its state, its parent and more; none of a process that is not there."""
     try:
-        return int(process.joinpath("stat").read_text().rpartition(")")[2].split()[1])
+        return process.joinpath("stat").read_text().rpartition(")")[2].split()
     except OSError:
-        return 0
+        return []
