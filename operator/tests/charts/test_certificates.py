@@ -7,8 +7,8 @@ import base64
 import os
 import subprocess
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -66,9 +66,13 @@ class Installed:
         answer = self.administrator.get(f"/api/v1/namespaces/{namespace}/{kind}/{name}").raise_for_status().json()
         return dict(answer.get("data") or {})
 
+    def decoded(self, namespace: str, name: str) -> dict[str, str]:
+        """The values of a Secret."""
+        found = self.read(namespace, "secrets", name)
+        return {key: base64.b64decode(value).decode() for key, value in found.items()}
+
     def secret(self, name: str) -> dict[str, str]:
-        read = self.read(namespace_of(name), "secrets", name)
-        return {key: base64.b64decode(value).decode() for key, value in read.items()}
+        return self.decoded(namespace_of(name), name)
 
     def trusted(self) -> set[str]:
         bundles = [self.read(place, "configmaps", "robotkube-ca") for place in ("robotkube", "robotkube-gate", *AGENTS)]
@@ -113,6 +117,86 @@ def stage(installed: Installed) -> Installed:
     return installed
 
 
+class Nobody:
+    """Main, which shuts out nobody but an agent that has none."""
+
+    names: frozenset[str] = frozenset()
+
+    def shut(self, authority: str) -> frozenset[str]:
+        return self.names
+
+
+@dataclass
+class Upgraded:
+    """What was there in the course of four upgrades, of which each takes four seconds of a processor."""
+
+    stage: Installed
+    identities: list[tuple[str, set[str]]] = field(default_factory=list)  # how accounts are proved, after each
+    keys_found: dict[str, list[str]] = field(default_factory=dict)  # of the Secret of a key, those in which it stands
+    accounts: list[dict[str, str]] = field(default_factory=list)  # vehicle-00's: made, upgraded, shut out
+    observer: dict[str, str] = field(default_factory=dict)
+    authority: dict[str, str] = field(default_factory=dict)
+    revoked: str = ""
+    refusals: dict[str, str] = field(default_factory=dict)
+
+    def upgrade(self, *options: str) -> None:
+        self.stage.cluster.helm("upgrade", "robotkube", str(CHART), *VALUES, "--no-hooks", *options)
+        self.look(" ".join(options))
+
+    def look(self, after: str) -> None:
+        accounts = [("robotkube", "broker-account-observer"), *((agent, "broker-account") for agent in AGENTS)]
+        found = (self.stage.read(namespace, "secrets", name)["identity"] for namespace, name in accounts)
+        self.identities.append((after, {base64.b64decode(one).decode() for one in found}))
+
+    def refused(self, what: str, call: Callable[[], object]) -> None:
+        with pytest.raises(InputError) as refusal:
+            call()
+        self.refusals[what] = str(refusal.value)
+
+    def keep(self, keeper: CertificateKeeper) -> dict[str, str]:
+        """Vehicle-00's account, after a step of the keeper."""
+        keeper.step()
+        assert keeper.reasons_not_ready() == []
+        return self.stage.decoded("vehicle-00", "broker-account")
+
+    def find_keys(self) -> None:
+        items = self.stage.administrator.get("/api/v1/secrets").raise_for_status().json()["items"]
+        said = {item["metadata"]["name"]: words(item) for item in items}
+        for name in ("tls-authority", *(f"{server}-tls" for server in SERVERS)):
+            body = self.stage.secret(name)["tls.key"].splitlines()[1]
+            self.keys_found[name] = [found for found, text in said.items() if body in text]
+
+
+@pytest.fixture(scope="module")
+def upgraded(installed: Installed) -> Upgraded:
+    """From certificates to passwords, which stay, and back to certificates, which stay."""
+    seen = Upgraded(installed)
+    installed.empty()
+    seen.look("installed")
+    seen.upgrade("--set", "tls.accounts=passwords")
+    issuance = installed.issuance
+    assert issuance.accounts is not None
+    main, objects = Nobody(), KubernetesCertificates(installed.api, issuance)
+    with_passwords = issuance.accounts.certificates[-1]
+    seen.refused("accounts that have passwords", lambda: objects.of_account(with_passwords))
+    seen.upgrade()
+    seen.upgrade("--set", "tls.accounts=certificates")
+    accounts = AccountKeeper(objects, issuing, issuance.accounts, main, time.time)
+    keeper = CertificateKeeper(objects, issuing, issuance, time.time, accounts)
+    seen.accounts.append(seen.keep(keeper))
+    seen.upgrade("--set", "logLevel=debug")
+    seen.find_keys()
+    seen.accounts.append(seen.keep(keeper))
+    main.names = frozenset({"vehicle-00"})
+    seen.accounts.append(seen.keep(keeper))
+    seen.observer = installed.decoded("robotkube", "broker-account-observer")
+    seen.authority = installed.secret("tls-authority")
+    seen.revoked = installed.read("robotkube", "configmaps", "broker-certificates")["revoked.crl"]
+    for path in ("cloud-0/secrets/database-account", "robotkube/secrets/robotkube-seed"):
+        seen.refused(path, lambda path=path: installed.api.get(f"/api/v1/namespaces/{path}"))
+    return seen
+
+
 @pytest.mark.parametrize("name", SERVERS)
 def test_each_server_has_a_certificate_that_every_agent_verifies(stage: Installed, tmp_path: Path, name: str) -> None:
     stage.kept()
@@ -154,13 +238,10 @@ def test_processes_change_to_http_and_back_by_upgrades(stage: Installed) -> None
     stage.kept()
 
 
-def test_no_key_stands_in_a_release_of_helms_or_in_another_secret(stage: Installed) -> None:
-    stage.kept()
-    stage.cluster.helm("upgrade", "robotkube", str(CHART), *VALUES, "--no-hooks")
-    items = stage.administrator.get("/api/v1/secrets").raise_for_status().json()["items"]
-    for name in ("tls-authority", *(f"{server}-tls" for server in SERVERS)):
-        body = stage.secret(name)["tls.key"].splitlines()[1]
-        assert [item["metadata"]["name"] for item in items if body in words(item)] == [name]
+def test_no_key_stands_in_a_release_of_helms_or_in_another_secret(upgraded: Upgraded) -> None:
+    assert sorted(upgraded.keys_found) == sorted(("tls-authority", *(f"{server}-tls" for server in SERVERS)))
+    for name, found in upgraded.keys_found.items():
+        assert found == [name]
 
 
 def test_what_another_hand_wrote_into_an_agents_namespace_is_put_right(stage: Installed) -> None:
@@ -184,66 +265,30 @@ def test_the_authority_is_written_only_into_the_secret_that_was_read_empty(stage
     assert stage.secret("tls-authority") == kept
 
 
-class Nobody:
-    """Main, which shuts out nobody but an agent that has none."""
-
-    names: frozenset[str] = frozenset()
-
-    def shut(self, authority: str) -> frozenset[str]:
-        return self.names
-
-
-def test_a_platform_that_has_passwords_keeps_them_until_somebody_says_otherwise(stage: Installed) -> None:
+def test_a_platform_that_has_passwords_keeps_them_until_somebody_says_otherwise(upgraded: Upgraded) -> None:
     """Robots whose images are of before know nothing of certificates. The first installation had them at once."""
-
-    def identities(*options: str) -> set[str]:
-        stage.cluster.helm("upgrade", "robotkube", str(CHART), *VALUES, "--no-hooks", *options)
-        accounts = [("robotkube", "broker-account-observer"), *((agent, "broker-account") for agent in AGENTS)]
-        kept = (stage.read(namespace, "secrets", name)["identity"] for namespace, name in accounts)
-        return {base64.b64decode(one).decode() for one in kept}
-
-    assert identities() == {"certificate"}
-    assert identities("--set", "tls.accounts=passwords") == {"password"}
-    assert identities() == {"password"}
-    assert identities("--set", "tls.accounts=certificates") == {"certificate"}
-    assert identities() == {"certificate"}
+    assert upgraded.identities == [
+        ("installed", {"certificate"}),
+        ("--set tls.accounts=passwords", {"password"}),
+        ("", {"password"}),
+        ("--set tls.accounts=certificates", {"certificate"}),
+        ("--set logLevel=debug", {"certificate"}),
+    ]
 
 
-def test_accounts_at_the_broker_have_certificates_that_helm_leaves_alone(stage: Installed) -> None:
+def test_accounts_at_the_broker_have_certificates_that_helm_leaves_alone(upgraded: Upgraded) -> None:
     """By the rights that the chart gives with certificates: those of each account, and a list of the
-    revoked ones."""
-    certified = ("--set", "tls.accounts=certificates")
-    stage.cluster.helm("upgrade", "robotkube", str(CHART), *VALUES, "--no-hooks", *certified)
-    answer = stage.administrator.get("/api/v1/namespaces/robotkube/configmaps/certificates").json()
-    issuance = read_configuration(Reader("config.yaml"), yaml.safe_load(answer["data"]["config.yaml"])).issuance
-    assert issuance.accounts is not None
-    main, objects = Nobody(), KubernetesCertificates(stage.api, issuance)
-    accounts = AccountKeeper(objects, issuing, issuance.accounts, main, time.time)
-    keeper = CertificateKeeper(objects, issuing, issuance, time.time, accounts)
-
-    def account(name: str, namespace: str = "robotkube") -> dict[str, str]:
-        keeper.step()
-        assert keeper.reasons_not_ready() == []
-        secret = stage.read(namespace, "secrets", name)
-        return {key: base64.b64decode(value).decode() for key, value in secret.items()}
-
-    before = account("broker-account", "vehicle-00")
+    revoked ones. With passwords it gives none."""
+    before, after, shut = upgraded.accounts
     assert {"username", "password", "identity", "tls", "tls.crt", "tls.key"} <= set(before)
-    assert "tls.key" in account("broker-account-observer")
-    stage.cluster.helm("upgrade", "robotkube", str(CHART), *VALUES, "--no-hooks", *certified, "--set", "logLevel=debug")
-    assert account("broker-account", "vehicle-00") == before
-    main.names = frozenset({"vehicle-00"})
-    assert account("broker-account", "vehicle-00") == before
-    authority = Pair(stage.secret("tls-authority")["tls.crt"], stage.secret("tls-authority")["tls.key"])
+    assert "tls.key" in upgraded.observer
+    assert after == shut == before
+    authority = Pair(upgraded.authority["tls.crt"], upgraded.authority["tls.key"])
     shown = Pair(before["tls.crt"], before["tls.key"])
-    listed = issuing.listed(stage.read("robotkube", "configmaps", "broker-certificates")["revoked.crl"], authority)
-    assert listed == {issuing.describe(shown, authority).serial}
-    for path in ("cloud-0/secrets/database-account", "robotkube/secrets/robotkube-seed"):
-        with pytest.raises(InputError, match="is forbidden"):
-            stage.api.get(f"/api/v1/namespaces/{path}")
-    stage.cluster.helm("upgrade", "robotkube", str(CHART), *VALUES, "--no-hooks", "--set", "tls.accounts=passwords")
-    with pytest.raises(InputError, match="is forbidden"):
-        objects.of_account(issuance.accounts.certificates[-1])
+    assert issuing.listed(upgraded.revoked, authority) == {issuing.describe(shown, authority).serial}
+    assert len(upgraded.refusals) == 3
+    for what, refusal in upgraded.refusals.items():
+        assert "is forbidden" in refusal, what
 
 
 @pytest.mark.parametrize("secret", ["robotkube-seed", "broker-accounts", "forge-account-gate"])
