@@ -32,5 +32,5 @@ gate_namespace: {{ include "robotkube.gateNamespace" . }}
 argocd: {namespace: {{ .Values.argocd.namespace }}}
 agents: {{ toJson $agents }}
 test_namespaces: {{ toJson $tests }}
-remover: {{ (include "robotkube.remover" . | fromYaml).enabled }}
+remover: {{ (include "robotkube.remover" . | fromJson).enabled }}
 {{- end }}

@@ -76,7 +76,7 @@ password: {{ include "robotkube.agentBrokerPassword" . }}
 
 {{- /* The values of installationTest, also when an upgrade reuses values from before there were any. */ -}}
 {{- define "robotkube.installationTest" -}}
-{{- toYaml (merge (dict) (.Values.installationTest | default dict) (dict "agent" "" "application" "pose-point-cloud-recording" "parameters" dict)) }}
+{{- toJson (merge (dict) (.Values.installationTest | default dict) (dict "agent" "" "application" "pose-point-cloud-recording" "parameters" dict)) }}
 {{- end }}
 
 {{- /* The agent in whose name the installation is tried: the first that records; none where its account of the database is not of the
@@ -86,12 +86,12 @@ password: {{ include "robotkube.agentBrokerPassword" . }}
 {{- if ne .Values.database.kind "external" }}
 {{- range .Values.agents }}{{ if and .records (not .reserved) }}{{ $found = append $found .name }}{{ end }}{{ end }}
 {{- end }}
-{{- if $found }}{{ (include "robotkube.installationTest" . | fromYaml).agent | default (first $found) }}{{ end -}}
+{{- if $found }}{{ (include "robotkube.installationTest" . | fromJson).agent | default (first $found) }}{{ end -}}
 {{- end }}
 
 {{- /* The parameters of its task: as given, else the first agent of role vehicle. JSON. */ -}}
 {{- define "robotkube.testParameters" -}}
-{{- $parameters := (include "robotkube.installationTest" . | fromYaml).parameters | default dict }}
+{{- $parameters := (include "robotkube.installationTest" . | fromJson).parameters | default dict }}
 {{- $vehicles := list }}
 {{- range .Values.agents }}{{ if eq (.role | default "") "vehicle" }}{{ $vehicles = append $vehicles .name }}{{ end }}{{ end }}
 {{- if and $vehicles (not $parameters) }}{{ $parameters = dict "vehicles" (list (first $vehicles)) }}{{ end -}}
@@ -100,7 +100,7 @@ password: {{ include "robotkube.agentBrokerPassword" . }}
 
 {{- /* What is wrong with installationTest, one line. */ -}}
 {{- define "robotkube.installationTestRefusals" -}}
-{{- $wanted := (include "robotkube.installationTest" . | fromYaml).agent }}
+{{- $wanted := (include "robotkube.installationTest" . | fromJson).agent }}
 {{- $recording := list }}
 {{- range .Values.agents }}{{ if .records }}{{ $recording = append $recording .name }}{{ end }}{{ end }}
 {{- if and $wanted (not (has $wanted $recording)) }}

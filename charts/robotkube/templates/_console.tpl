@@ -8,24 +8,24 @@
 {{- if has $key (list "links" "signIn") }}{{ $value = merge (deepCopy $value) (get $console $key) }}{{ end }}
 {{- $_ := set $console $key $value }}
 {{- end }}
-{{- toYaml $console }}
+{{- toJson $console }}
 {{- end }}
 
 {{- /* "true" where people sign in at the console by the forge that is installed here, else empty. */ -}}
 {{- define "robotkube.consoleForge" -}}
-{{- $console := include "robotkube.console" . | fromYaml -}}
+{{- $console := include "robotkube.console" . | fromJson -}}
 {{- if and $console.enabled $console.signIn.forge (eq .Values.forge.kind "gitea") }}true{{ end -}}
 {{- end }}
 
 {{- /* The client at the forge by which they do: its name there, and the ConfigMap by which its id reaches the console. YAML. */ -}}
 {{- define "robotkube.consoleClient" -}}
-{{- $console := include "robotkube.console" . | fromYaml -}}
+{{- $console := include "robotkube.console" . | fromJson -}}
 {name: robotkube-console, redirect: "{{ $console.signIn.url }}/auth/callback", config_map: {namespace: {{ .Release.Namespace }}, name: console-sign-in}}
 {{- end }}
 
 {{- /* The groups whose members may read: those of the values, or who may propose changes of what runs. JSON. */ -}}
 {{- define "robotkube.consoleReaders" -}}
-{{- $signIn := (include "robotkube.console" . | fromYaml).signIn -}}
+{{- $signIn := (include "robotkube.console" . | fromJson).signIn -}}
 {{ $signIn.groups | default ($signIn.forge | ternary (list "robotkube:deployment-write") list) | toJson }}
 {{- end }}
 
@@ -36,7 +36,7 @@
 
 {{- /* The names by which browsers reach the console: its Service's, those of the values, and that of its own address. JSON. */ -}}
 {{- define "robotkube.consoleHosts" -}}
-{{- $console := include "robotkube.console" . | fromYaml -}}
+{{- $console := include "robotkube.console" . | fromJson -}}
 {{- $short := printf "console.%s" .Release.Namespace -}}
 {{- $hosts := list (include "robotkube.host" (dict "root" . "name" "console")) (printf "%s.svc" $short) $short "console" "localhost" -}}
 {{- with $console.signIn.url }}{{ $hosts = append $hosts (regexReplaceAll "^https?://([^/:]*).*$" . "${1}") }}{{ end -}}
@@ -44,7 +44,7 @@
 {{- end }}
 
 {{- define "robotkube.consoleSettings" -}}
-{{- $console := include "robotkube.console" . | fromYaml -}}
+{{- $console := include "robotkube.console" . | fromJson -}}
 listen: {address: 0.0.0.0, port: 8080, health_port: 8081}
 log_level: {{ .Values.logLevel }}
 {{- with include "robotkube.processAuthorities" . }}
@@ -54,7 +54,7 @@ namespaces: {platform: {{ .Release.Namespace }}, argocd: {{ .Values.argocd.names
 agents:
 {{- include "robotkube.agents" . }}
 managers:
-{{- range fromYamlArray (include "robotkube.managers" .) }}
+{{- range fromJsonArray (include "robotkube.managers" .) }}
 - name: {{ .name }}
   url: "{{ include "robotkube.processScheme" $ }}://{{ include "robotkube.host" (dict "root" $ "name" .name) }}:8080"
   namespaces: {{ toJson .scope.namespaces }}
@@ -107,7 +107,7 @@ by_forward: true
 
 {{- /* "true" where the console answers forwards of the API server's alone, else empty. */ -}}
 {{- define "robotkube.consoleByForward" -}}
-{{- $console := include "robotkube.console" . | fromYaml -}}
+{{- $console := include "robotkube.console" . | fromJson -}}
 {{- if and $console.enabled (not $console.anybodyReads) (not $console.signIn.issuer) (not $console.signIn.forge) }}true{{ end -}}
 {{- end }}
 
@@ -126,7 +126,7 @@ by_forward: true
 
 {{- /* What is wrong with the values of console, one line each. */ -}}
 {{- define "robotkube.consoleRefusals" -}}
-{{- $console := include "robotkube.console" . | fromYaml }}
+{{- $console := include "robotkube.console" . | fromJson }}
 {{- if $console.enabled }}
 {{- $signIn := $console.signIn }}
 {{- if and (not $signIn.issuer) (not $signIn.forge) (not $console.anybodyReads) }}
@@ -168,7 +168,7 @@ by_forward: true
 
 {{- /* What is wrong with the values of signing in by the chart's own forge, one line each. */ -}}
 {{- define "robotkube.consoleForgeRefusals" -}}
-{{- $console := include "robotkube.console" . | fromYaml }}
+{{- $console := include "robotkube.console" . | fromJson }}
 {{- $signIn := $console.signIn }}
 {{- $pages := $console.links.forge }}
 {{- if eq .Values.forge.kind "external" }}

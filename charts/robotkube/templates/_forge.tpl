@@ -1,6 +1,6 @@
 {{- /* Accounts besides the administrator; what each may do: docs/reference/settings.md. */ -}}
 {{- define "robotkube.forgeAccounts" -}}
-{{ include "robotkube.managerNames" . }} gate argocd publisher image-publisher suite-runner inspector nodes {{ if (include "robotkube.rights" . | fromYaml).enabled }}rights {{ end }}{{ if .Values.admission.enabled }}admission {{ end }}{{ with include "robotkube.viewers" . }}{{ . }} {{ end }}{{ include "robotkube.people" . }}
+{{ include "robotkube.managerNames" . }} gate argocd publisher image-publisher suite-runner inspector nodes {{ if (include "robotkube.rights" . | fromJson).enabled }}rights {{ end }}{{ if .Values.admission.enabled }}admission {{ end }}{{ with include "robotkube.viewers" . }}{{ . }} {{ end }}{{ include "robotkube.people" . }}
 {{- end }}
 
 {{- /* Accounts of people, separated by blanks; the first ones of the values when an upgrade reuses older values. */ -}}
@@ -44,7 +44,7 @@ administrator admission argocd bootstrap broker certificates console database de
 
 {{- /* Who hears from the forge. Each has a secret of its own, so that none can speak to another in the forge's name. */ -}}
 {{- define "robotkube.hearers" -}}
-gate {{ include "robotkube.managerNames" . }}{{ if (include "robotkube.rights" . | fromYaml).enabled }} rights{{ end }}{{ if .Values.admission.enabled }} admission{{ end }}
+gate {{ include "robotkube.managerNames" . }}{{ if (include "robotkube.rights" . | fromJson).enabled }} rights{{ end }}{{ if .Values.admission.enabled }} admission{{ end }}
 {{- end }}
 
 {{- /* app.ini. A Secret, since it holds keys. The file is read-only for the forge, so every key it would write there itself is given. */ -}}

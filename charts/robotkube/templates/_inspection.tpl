@@ -4,11 +4,11 @@
 {{- $_ := set $defaults "resources" (dict "requests" (dict "cpu" "20m" "memory" "96Mi") "limits" (dict "memory" "384Mi")) }}
 {{- $given := .Values.inspection | default dict }}
 {{- range $key, $value := $given }}{{ $_ := set $defaults $key $value }}{{ end }}
-{{- toYaml $defaults }}
+{{- toJson $defaults }}
 {{- end }}
 
 {{- define "robotkube.inspectorSettings" -}}
-{{- $inspection := include "robotkube.inspection" . | fromYaml -}}
+{{- $inspection := include "robotkube.inspection" . | fromJson -}}
 listen: {address: 0.0.0.0, port: 8081}
 log_level: {{ .Values.logLevel }}
 forge:

@@ -1,4 +1,4 @@
-{{- /* The managers with every key: what `managers` leaves out is filled in here, once. A YAML list. */ -}}
+{{- /* The managers with every key: what `managers` leaves out is filled in here, once. A JSON list. */ -}}
 {{- define "robotkube.managers" -}}
 {{- $found := list }}
 {{- range .Values.managers }}
@@ -11,11 +11,11 @@
 {{- $_ := set $manager "resources" (.resources | default (dict "requests" (dict "cpu" "50m" "memory" "96Mi") "limits" (dict "memory" "512Mi"))) }}
 {{- $found = append $found $manager }}
 {{- end }}
-{{- toYaml $found }}
+{{- toJson $found }}
 {{- end }}
 
 {{- define "robotkube.managerNames" -}}
-{{- range $i, $manager := fromYamlArray (include "robotkube.managers" .) }}{{ if $i }} {{ end }}{{ $manager.name }}{{ end -}}
+{{- range $i, $manager := fromJsonArray (include "robotkube.managers" .) }}{{ if $i }} {{ end }}{{ $manager.name }}{{ end -}}
 {{- end }}
 
 {{- /* The declared agents in a manager's scope, separated by spaces. Arguments: {root, manager}. */ -}}
@@ -46,7 +46,7 @@
 {{- /* Who moves main, in the first commit of the deployment repository. */ -}}
 {{- define "robotkube.mergePolicy" -}}
 {{- $lines := list }}
-{{- range $manager := fromYamlArray (include "robotkube.managers" .) }}
+{{- range $manager := fromJsonArray (include "robotkube.managers" .) }}
 {{- $paths := list "releases/" "sources/" }}
 {{- if not (has "*" $manager.scope.agents) }}
 {{- $paths = list }}
@@ -64,7 +64,7 @@
 {{- define "robotkube.managerRefusals" -}}
 {{- $taken := concat (splitList " " (include "robotkube.platformNames" .)) (splitList " " (include "robotkube.people" .)) (.Values.forge.viewers | default list) }}
 {{- $declared := list }}{{ range .Values.agents }}{{ $declared = append $declared .name }}{{ end }}
-{{- $managers := fromYamlArray (include "robotkube.managers" .) }}
+{{- $managers := fromJsonArray (include "robotkube.managers" .) }}
 {{- if .Values.manager }}
 {{ print "manager: this value was replaced by the list managers. Move its resources to managers[0].resources (name: manager), and upgrade with --reset-then-reuse-values instead of --reuse-values." }}
 {{- end }}

@@ -3,7 +3,7 @@
 {{ .Files.Get "files/network.yaml" | required "files/network.yaml is not in the chart" }}
 {{- end }}
 
-{{- /* The namespaces of each word that stands in the table, as YAML. */ -}}
+{{- /* The namespaces of each word that stands in the table, as JSON. */ -}}
 {{- define "robotkube.networkNamespaces" -}}
 {{- $agents := list }}{{ $recording := list }}{{ $test := list }}
 {{- range .Values.agents }}
@@ -12,10 +12,10 @@
 {{- end }}
 {{- if .Values.suites.enabled }}{{ range $i := until (int .Values.suites.pool) }}{{ $test = append $test (include "robotkube.testNamespace" $i) }}{{ end }}{{ end }}
 {{- $argocd := list .Values.argocd.namespace }}
-{{- toYaml (dict "platform" (list .Release.Namespace) "gate" (list (include "robotkube.gateNamespace" .)) "argocd" $argocd "agents" $agents "recording" $recording "test" $test "probe" (list (printf "%s-probe" .Release.Namespace))) }}
+{{- toJson (dict "platform" (list .Release.Namespace) "gate" (list (include "robotkube.gateNamespace" .)) "argocd" $argocd "agents" $agents "recording" $recording "test" $test "probe" (list (printf "%s-probe" .Release.Namespace))) }}
 {{- end }}
 
-{{- /* What stands elsewhere or is not installed: party -> the ports at which it is reached there, as YAML. Without ports it is nowhere. */ -}}
+{{- /* What stands elsewhere or is not installed: party -> the ports at which it is reached there, as JSON. Without ports it is nowhere. */ -}}
 {{- define "robotkube.networkElsewhere" -}}
 {{- $found := dict }}
 {{- if eq .Values.forge.kind "external" }}
@@ -27,18 +27,18 @@
 {{- if eq .Values.broker.kind "external" }}{{ $_ := set $found "broker" (list (int .Values.broker.external.port)) }}{{ end }}
 {{- if eq .Values.database.kind "external" }}{{ $_ := set $found "database" (list (int .Values.database.external.port)) }}{{ end }}
 {{- if not .Values.suites.enabled }}{{ $_ := set $found "suite-runner" list }}{{ end }}
-{{- if not (include "robotkube.inspection" . | fromYaml).enabled }}{{ $_ := set $found "inspector" list }}{{ end }}
-{{- if not (include "robotkube.remover" . | fromYaml).enabled }}{{ $_ := set $found "remover" list }}{{ end }}
+{{- if not (include "robotkube.inspection" . | fromJson).enabled }}{{ $_ := set $found "inspector" list }}{{ end }}
+{{- if not (include "robotkube.remover" . | fromJson).enabled }}{{ $_ := set $found "remover" list }}{{ end }}
 {{- if not .Values.admission.enabled }}{{ $_ := set $found "admission" list }}{{ end }}
-{{- if not (include "robotkube.rights" . | fromYaml).enabled }}{{ $_ := set $found "rights" list }}{{ end }}
-{{- if not (include "robotkube.console" . | fromYaml).enabled }}{{ $_ := set $found "console" list }}{{ end }}
+{{- if not (include "robotkube.rights" . | fromJson).enabled }}{{ $_ := set $found "rights" list }}{{ end }}
+{{- if not (include "robotkube.console" . | fromJson).enabled }}{{ $_ := set $found "console" list }}{{ end }}
 {{- if not (include "robotkube.consoleForge" .) }}{{ $_ := set $found "console-sign-in" list }}{{ end }}
 {{- if not (include "robotkube.certificatesMade" .) }}{{ $_ := set $found "certificates" list }}{{ end }}
 {{- if .Values.evidence.existingSecret }}{{ $_ := set $found "gate-key" list }}{{ end }}
 {{- if not (include "robotkube.testAgent" .) }}{{ $_ := set $found "installation-test" list }}{{ end }}
 {{- $_ := set $found "collector" list }}
 {{- with .Values.traces.endpoint }}{{ $_ := set $found "collector" (list (include "robotkube.portOfUrl" . | int)) }}{{ end }}
-{{- toYaml $found }}
+{{- toJson $found }}
 {{- end }}
 
 {{- define "robotkube.portOfUrl" -}}
@@ -142,12 +142,12 @@
 {{- end }}
 {{- end }}
 
-{{- /* All policies of a namespace: everything denied, and one policy for each party whose pods stand there. Arguments: {root, word,
-       namespace, labels}; the word is that of the table. */ -}}
+{{- /* All policies of a namespace: everything denied, and one policy for each party whose pods stand there. Arguments: {root, table,
+       word, namespace, labels}; the word is that of the table. */ -}}
 {{- define "robotkube.networkPolicies" -}}
-{{- $table := include "robotkube.networkTable" .root | fromYaml }}
-{{- $namespaces := include "robotkube.networkNamespaces" .root | fromYaml }}
-{{- $elsewhere := include "robotkube.networkElsewhere" .root | fromYaml }}
+{{- $table := .table }}
+{{- $namespaces := include "robotkube.networkNamespaces" .root | fromJson }}
+{{- $elsewhere := include "robotkube.networkElsewhere" .root | fromJson }}
 {{- if ne .word "recording" }}
 ---
 apiVersion: networking.k8s.io/v1
@@ -219,8 +219,8 @@ spec:
 {{- /* Rules for what this installation does not have would be dropped without a word. Arguments: {root, key, name}. */ -}}
 {{- define "robotkube.networkUnused" -}}
 {{- $party := index (include "robotkube.networkTable" .root | fromYaml).parties .name }}
-{{- $namespaces := include "robotkube.networkNamespaces" .root | fromYaml }}
-{{- if or (hasKey (include "robotkube.networkElsewhere" .root | fromYaml) .name) (not (get $namespaces $party.namespaces)) }}
+{{- $namespaces := include "robotkube.networkNamespaces" .root | fromJson }}
+{{- if or (hasKey (include "robotkube.networkElsewhere" .root | fromJson) .name) (not (get $namespaces $party.namespaces)) }}
 {{ printf "networkPolicies.%s.%s: these values install no pods of this name. Take the rules out." .key .name }}
 {{- end }}
 {{- end }}

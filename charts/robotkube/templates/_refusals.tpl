@@ -151,7 +151,7 @@
 {{- end }}
 {{- end }}
 {{- end }}
-{{- if and (include "robotkube.remover" . | fromYaml).enabled (not (include "robotkube.inspection" . | fromYaml).enabled) }}
+{{- if and (include "robotkube.remover" . | fromJson).enabled (not (include "robotkube.inspection" . | fromJson).enabled) }}
 {{- $problems = append $problems "remover.enabled is true, but inspection.enabled is false: nobody names what is to be removed. Set inspection.enabled: true, or remover.enabled: false." }}
 {{- end }}
 {{- range $line := splitList "\n" (include "robotkube.evidenceRefusals" .) }}

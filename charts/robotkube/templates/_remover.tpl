@@ -3,11 +3,11 @@
 {{- $defaults := dict "enabled" false "pods" true "workloads" true "perMinute" 20 }}
 {{- $_ := set $defaults "resources" (dict "requests" (dict "cpu" "10m" "memory" "48Mi") "limits" (dict "memory" "128Mi")) }}
 {{- range $key, $value := .Values.remover | default dict }}{{ $_ := set $defaults $key $value }}{{ end }}
-{{- toYaml $defaults }}
+{{- toJson $defaults }}
 {{- end }}
 
 {{- define "robotkube.removerSettings" -}}
-{{- $remover := include "robotkube.remover" . | fromYaml -}}
+{{- $remover := include "robotkube.remover" . | fromJson -}}
 listen: {address: 0.0.0.0, port: 8081}
 log_level: {{ .Values.logLevel }}
 namespace: {{ .Release.Namespace }}

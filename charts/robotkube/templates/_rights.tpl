@@ -3,7 +3,7 @@
 {{- $defaults := dict "enabled" (eq .Values.broker.kind "mosquitto") }}
 {{- $_ := set $defaults "resources" (dict "requests" (dict "cpu" "10m" "memory" "64Mi") "limits" (dict "memory" "192Mi")) }}
 {{- range $key, $value := .Values.rights | default dict }}{{ $_ := set $defaults $key $value }}{{ end }}
-{{- toYaml $defaults }}
+{{- toJson $defaults }}
 {{- end }}
 
 {{- /* Who has an account at the broker besides the observer and the process that keeps rights. */ -}}
@@ -11,7 +11,7 @@
 agents:
 {{- include "robotkube.agents" . }}
 managers:
-{{- range fromYamlArray (include "robotkube.managers" .) }}
+{{- range fromJsonArray (include "robotkube.managers" .) }}
 - {name: {{ .name }}, agents: {{ toJson .scope.agents }}}
 {{- end }}
 {{- end }}

@@ -38,7 +38,7 @@ broker:
 scope: {{ toJson $manager.scope }}
 operators: {{ toJson $manager.operators }}
 managers:
-{{- range fromYamlArray (include "robotkube.managers" .) }}
+{{- range fromJsonArray (include "robotkube.managers" .) }}
 - {name: {{ .name }}, scope: {{ toJson .scope }}}
 {{- end }}
 node_lost_seconds: {{ $manager.nodeLostSeconds }}
@@ -61,7 +61,7 @@ forge:
   catalogue: robotkube/catalogue
   branch: main
   proposers:
-  {{- range $manager := fromYamlArray (include "robotkube.managers" .) }}
+  {{- range $manager := fromJsonArray (include "robotkube.managers" .) }}
   - account: {{ .name }}
     namespaces: [{{ include "robotkube.managerAgents" (dict "root" $ "manager" .) | replace " " ", " }}]
     webhook: {{ include "robotkube.processScheme" $ }}://{{ include "robotkube.host" (dict "root" $ "name" .name) }}:8080/webhook
@@ -92,7 +92,7 @@ webhook:
 {{- end }}
 
 {{- define "robotkube.bootstrapSettings" -}}
-{{- $rights := include "robotkube.rights" . | fromYaml -}}
+{{- $rights := include "robotkube.rights" . | fromJson -}}
 {{- $readers := include "robotkube.managerNames" . | replace " " ": read, " -}}
 {{- $people := include "robotkube.people" . | replace " " ": write, " -}}
 {{- $viewers := include "robotkube.viewers" . | replace " " ": pulls, " -}}
@@ -205,7 +205,7 @@ oci_registry:
 token: /var/run/secrets/robotkube/suite-runner/token
 platform_namespace: {{ .Release.Namespace }}
 tls: {{ include "robotkube.encrypted" . | eq "true" }}
-kubelets: {verify: {{ (include "robotkube.inspection" . | fromYaml).verifyKubelets }}}
+kubelets: {verify: {{ (include "robotkube.inspection" . | fromJson).verifyKubelets }}}
 agent: {{ include "robotkube.suitesAgent" . }}
 test_namespaces:
 {{- range $i := until (int .Values.suites.pool) }}
@@ -241,7 +241,7 @@ wait_seconds: {{ .Values.teardown.waitSeconds | int }}
 {{- define "robotkube.installationTestSettings" -}}
 log_level: {{ .Values.logLevel }}
 agent: {{ include "robotkube.testAgent" . }}
-application: {{ (include "robotkube.installationTest" . | fromYaml).application }}
+application: {{ (include "robotkube.installationTest" . | fromJson).application }}
 parameters: {{ include "robotkube.testParameters" . }}
 database: /var/run/secrets/robotkube/database
 platform_namespace: {{ .Release.Namespace }}

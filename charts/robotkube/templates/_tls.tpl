@@ -1,5 +1,5 @@
 {{- /* TLS: who makes the certificates of broker, database, forge and processes, and how everybody else knows them. */ -}}
-{{- /* The values of tls, also when an upgrade reuses values from before there were any. YAML. */ -}}
+{{- /* The values of tls, also when an upgrade reuses values from before there were any. JSON. */ -}}
 {{- define "robotkube.tls" -}}
 {{- $tls := dict "mode" "made" "plain" false "processes" false "accounts" "passwords" "hours" 2160 "names" list "authorities" "" "provided" (dict "secret" "" "database" "" "forge" "" "processes" dict) }}
 {{- $_ := set $tls "issuer" (dict "name" "" "kind" "Issuer" "group" "cert-manager.io") }}
@@ -7,17 +7,17 @@
 {{- if kindIs "map" $value }}{{ $value = merge (deepCopy $value) (get $tls $key) }}{{ end }}
 {{- $_ := set $tls $key $value }}
 {{- end }}
-{{- toYaml $tls }}
+{{- toJson $tls }}
 {{- end }}
 
 {{- /* "true" when connections to the broker are encrypted, else empty. */ -}}
 {{- define "robotkube.encrypted" -}}
-{{- if ne (include "robotkube.tls" . | fromYaml).mode "off" }}true{{ end -}}
+{{- if ne (include "robotkube.tls" . | fromJson).mode "off" }}true{{ end -}}
 {{- end }}
 
 {{- /* "true" when the broker that is installed here takes connections in clear text, else empty. */ -}}
 {{- define "robotkube.plain" -}}
-{{- $tls := include "robotkube.tls" . | fromYaml -}}
+{{- $tls := include "robotkube.tls" . | fromJson -}}
 {{- if and (eq .Values.broker.kind "mosquitto") (or $tls.plain (eq $tls.mode "off")) }}true{{ end -}}
 {{- end }}
 
@@ -32,7 +32,7 @@
 
 {{- /* "true" when the database that is installed here takes connections in clear text, else empty. */ -}}
 {{- define "robotkube.databasePlain" -}}
-{{- $tls := include "robotkube.tls" . | fromYaml -}}
+{{- $tls := include "robotkube.tls" . | fromJson -}}
 {{- if and (ne .Values.database.kind "external") (or $tls.plain (eq $tls.mode "off")) }}true{{ end -}}
 {{- end }}
 
@@ -43,7 +43,7 @@
 
 {{- /* "true" when gate, managers, rights, admission and suite-runner speak HTTPS, else empty. */ -}}
 {{- define "robotkube.processesEncrypted" -}}
-{{- if (include "robotkube.tls" . | fromYaml).processes }}{{ include "robotkube.encrypted" . }}{{ end -}}
+{{- if (include "robotkube.tls" . | fromJson).processes }}{{ include "robotkube.encrypted" . }}{{ end -}}
 {{- end }}
 
 {{- /* How they are asked. */ -}}
@@ -54,7 +54,7 @@
 {{- /* Those that are installed, as a list of {name, namespace}, each by the name of its Service. JSON. */ -}}
 {{- define "robotkube.servingProcesses" -}}
 {{- $found := list (dict "name" "gate" "namespace" (include "robotkube.gateNamespace" .)) }}
-{{- range $name := concat (splitList " " (include "robotkube.managerNames" .)) ((include "robotkube.rights" . | fromYaml).enabled | ternary (list "rights") list) (.Values.admission.enabled | ternary (list "admission") list) (.Values.suites.enabled | ternary (list "suite-runner") list) }}
+{{- range $name := concat (splitList " " (include "robotkube.managerNames" .)) ((include "robotkube.rights" . | fromJson).enabled | ternary (list "rights") list) (.Values.admission.enabled | ternary (list "admission") list) (.Values.suites.enabled | ternary (list "suite-runner") list) }}
 {{- $found = append $found (dict "name" $name "namespace" $.Release.Namespace) }}
 {{- end }}
 {{- toJson $found }}
@@ -62,7 +62,7 @@
 
 {{- /* The Secret with the certificate and key of one. Arguments: {root, name}. */ -}}
 {{- define "robotkube.processCertificate" -}}
-{{- $tls := include "robotkube.tls" .root | fromYaml -}}
+{{- $tls := include "robotkube.tls" .root | fromJson -}}
 {{ eq $tls.mode "provided" | ternary (get $tls.provided.processes .name) (printf "%s-tls" .name) }}
 {{- end }}
 
@@ -87,13 +87,13 @@ authorities: /etc/robotkube/authorities/ca.crt
 
 {{- /* "true" when certificates are made here, by the process `certificates`, else empty. */ -}}
 {{- define "robotkube.certificatesMade" -}}
-{{- if and (eq .Values.broker.kind "mosquitto") (eq (include "robotkube.tls" . | fromYaml).mode "made") }}true{{ end -}}
+{{- if and (eq .Values.broker.kind "mosquitto") (eq (include "robotkube.tls" . | fromJson).mode "made") }}true{{ end -}}
 {{- end }}
 
 {{- /* "true" when accounts at the broker are proved by certificates, else empty. Left to itself a platform goes on as it was: robots whose
        images are of before know nothing of certificates, and the broker takes one or the other. */ -}}
 {{- define "robotkube.accountsCertified" -}}
-{{- $tls := include "robotkube.tls" . | fromYaml }}
+{{- $tls := include "robotkube.tls" . | fromJson }}
 {{- $left := and (eq $tls.accounts "auto") (not $tls.plain) }}
 {{- if or (eq $tls.accounts "certificates") (and $left (not (include "robotkube.accountsOfBefore" .))) }}{{ include "robotkube.certificatesMade" . }}{{ end -}}
 {{- end }}
@@ -106,7 +106,7 @@ authorities: /etc/robotkube/authorities/ca.crt
 {{- /* These accounts, as a list of {account, secret, namespace} with number and reserved where they have any. JSON. */ -}}
 {{- define "robotkube.certifiedAccounts" -}}
 {{- $found := list }}
-{{- range concat (list "observer") ((include "robotkube.rights" . | fromYaml).enabled | ternary (list "rights") list) (splitList " " (include "robotkube.managerNames" .)) }}
+{{- range concat (list "observer") ((include "robotkube.rights" . | fromJson).enabled | ternary (list "rights") list) (splitList " " (include "robotkube.managerNames" .)) }}
 {{- $found = append $found (dict "account" . "secret" (printf "broker-account-%s" .) "namespace" $.Release.Namespace) }}
 {{- end }}
 {{- range .Values.agents }}
@@ -133,26 +133,26 @@ authorities: /etc/robotkube/authorities/ca.crt
 
 {{- /* The Secret with the broker's certificate and key. */ -}}
 {{- define "robotkube.brokerCertificate" -}}
-{{- $tls := include "robotkube.tls" . | fromYaml -}}
+{{- $tls := include "robotkube.tls" . | fromJson -}}
 {{ eq $tls.mode "provided" | ternary $tls.provided.secret "broker-tls" }}
 {{- end }}
 
 {{- /* The Secret with the database's certificate and key. */ -}}
 {{- define "robotkube.databaseCertificate" -}}
-{{- $tls := include "robotkube.tls" . | fromYaml -}}
+{{- $tls := include "robotkube.tls" . | fromJson -}}
 {{ eq $tls.mode "provided" | ternary $tls.provided.database "database-tls" }}
 {{- end }}
 
 {{- /* The Secret with the forge's certificate and key. */ -}}
 {{- define "robotkube.forgeCertificate" -}}
-{{- $tls := include "robotkube.tls" . | fromYaml -}}
+{{- $tls := include "robotkube.tls" . | fromJson -}}
 {{ eq $tls.mode "provided" | ternary $tls.provided.forge "forge-tls" }}
 {{- end }}
 
 {{- /* What has a certificate of its own here, as {component: names}: those of its Service, and for broker and forge those by which
        clients elsewhere reach them; for the forge also those of its own pod, at which its hooks and whoever forwards a port ask. JSON. */ -}}
 {{- define "robotkube.certified" -}}
-{{- $certified := dict "broker" (concat (include "robotkube.serviceNames" (dict "root" . "name" "broker") | fromJsonArray) (include "robotkube.tls" . | fromYaml).names | uniq) }}
+{{- $certified := dict "broker" (concat (include "robotkube.serviceNames" (dict "root" . "name" "broker") | fromJsonArray) (include "robotkube.tls" . | fromJson).names | uniq) }}
 {{- if include "robotkube.processesEncrypted" . }}
 {{- range include "robotkube.servingProcesses" . | fromJsonArray }}
 {{- $_ := set $certified .name (include "robotkube.serviceNames" (dict "root" $ "name" .name "namespace" .namespace) | fromJsonArray) }}
@@ -325,11 +325,11 @@ done
 {{- define "robotkube.certificates" -}}
 {{- $defaults := dict "resources" (dict "requests" (dict "cpu" "10m" "memory" "48Mi") "limits" (dict "memory" "128Mi")) }}
 {{- range $key, $value := .Values.certificates | default dict }}{{ $_ := set $defaults $key $value }}{{ end }}
-{{- toYaml $defaults }}
+{{- toJson $defaults }}
 {{- end }}
 
 {{- define "robotkube.certificatesSettings" -}}
-{{- $tls := include "robotkube.tls" . | fromYaml -}}
+{{- $tls := include "robotkube.tls" . | fromJson -}}
 listen: {address: 0.0.0.0, port: 8081}
 log_level: {{ .Values.logLevel }}
 namespace: {{ .Release.Namespace }}
@@ -354,7 +354,7 @@ accounts:
 
 {{- /* What is wrong with tls, one line each. */ -}}
 {{- define "robotkube.tlsRefusals" -}}
-{{- $tls := include "robotkube.tls" . | fromYaml }}
+{{- $tls := include "robotkube.tls" . | fromJson }}
 {{- $external := eq .Values.broker.kind "external" }}
 {{- if and $external (has $tls.mode (list "made" "cert-manager")) }}
 {{ printf "tls.mode is %s, but broker.kind is external: its owner has its certificate. Set tls.mode: provided with the PEM of its authority in tls.authorities, or tls.mode: \"off\" if it takes connections in clear text." $tls.mode }}
