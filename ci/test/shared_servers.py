@@ -20,18 +20,23 @@ from xdist.workermanage import WorkerController
 
 FIXTURES = {
     "API server": re.compile(r"\b(api_server: |api: Api\b)"),
+    "API server under policies": re.compile(r"\bunder_policies: "),
     "API server of the agents": re.compile(r"\bmanager_api: Api\b"),
     "forge": re.compile(
         r"\b((shared_)?installation: Installation\b|gate: RunningGate\b|(administration|forge_process): )"
     ),
 }
 """Words with which a file's tests ask for a server, by its name."""
+OF_ITS_OWN = re.compile(r"^def api\(", re.MULTILINE)
+"""In a file whose `api` is a fixture of its own, which says itself for what it asks."""
 
 
 @cache
 def servers_of(file: Path) -> frozenset[str]:
     """The shared servers for which tests of a file ask; none when it is no file."""
     text = file.read_text("utf-8") if file.is_file() else ""
+    if OF_ITS_OWN.search(text):
+        text = text.replace("api: Api", "api")
     return frozenset(name for name, words in FIXTURES.items() if words.search(text))
 
 

@@ -76,6 +76,8 @@ def test_files_name_their_servers() -> None:
     assert servers_of(tests / "delivery/tasks/test_custom_resource.py") == {"API server"}
     assert servers_of(tests / "delivery/manager/processes/test_process.py") == {"API server of the agents", "forge"}
     assert servers_of(tests / "delivery/gate/test_gate.py") == {"forge"}
+    assert servers_of(tests / "registry/admission/test_remover_api_server.py") == {"API server under policies"}
+    assert servers_of(tests / "registry/admission/test_volumes_api_server.py") == NONE, "it has one of its own"
     assert servers_of(tests / "ci/test_results_none.py") == NONE
     asked = {name for file in tests.rglob("test_*.py") for name in servers_of(file)}
     assert asked == set(shared_servers.FIXTURES), "each name is asked for"

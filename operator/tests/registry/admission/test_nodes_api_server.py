@@ -6,10 +6,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from robotkube.registry.admission.core.policies import for_files
 from tests.stages.attacks import shown
-from tests.stages.kubernetes.judged_api_server import ADMINISTRATOR, MERGE, Api, judged_api_server
-from tests.stages.registry.admission_examples import ALLOWED, DOMAIN
+from tests.stages.kubernetes.judged_api_server import ADMINISTRATOR, MERGE, Api
 
 pytestmark = [pytest.mark.toolchain]
 NODES = "/api/v1/nodes"
@@ -18,11 +16,12 @@ LABELS = {"robotkube.io/agent": "vehicle-00", "robotkube.io/role": "vehicle", "z
 
 
 @pytest.fixture(scope="module")
-def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
-    with judged_api_server(tmp_path_factory.mktemp("api"), for_files(DOMAIN, ALLOWED)) as (api, _):
-        api.done("POST", NODES, {"metadata": {"name": "vehicle-00", "labels": LABELS}}, KUBELET)
-        api.done("POST", NODES, {"metadata": {"name": "plain"}}, "system:node:plain")
-        yield api
+def api(under_policies: Api) -> Iterator[Api]:
+    under_policies.done("POST", NODES, {"metadata": {"name": "vehicle-00", "labels": LABELS}}, KUBELET)
+    under_policies.done("POST", NODES, {"metadata": {"name": "plain"}}, "system:node:plain")
+    yield under_policies
+    for name in ("vehicle-00", "plain"):
+        under_policies.done("DELETE", f"{NODES}/{name}")
 
 
 @pytest.mark.parametrize("part", ["", "/status"])

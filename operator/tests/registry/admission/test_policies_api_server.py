@@ -34,7 +34,7 @@ from tests.stages.registry.admission_examples import (
 )
 from tests.stages.waiting import until
 
-pytestmark = [pytest.mark.toolchain]  # a server of its own
+pytestmark = [pytest.mark.toolchain]  # a server of the session
 POLICIES = "/apis/admissionregistration.k8s.io/v1/validatingadmissionpolicies"
 NAMESPACES = ("vehicle-00", "cloud-0", "robotkube-suite-0", "robotkube", "robotkube-gate", "argocd", "elsewhere")
 MAKERS = {"vehicle-00": REPLICA_SETS, "robotkube-suite-0": SUITE_RUNNER, "robotkube": REPLICA_SETS}
@@ -44,11 +44,10 @@ TAGGED = "registry.example/robotkube/ros:1.0"
 
 
 @pytest.fixture(scope="module")
-def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
-    with judged_api_server(tmp_path_factory.mktemp("api"), for_files(DOMAIN, ALLOWED)) as (api, _):
-        for name in NAMESPACES:
-            api.request("POST", "/api/v1/namespaces", {"metadata": {"name": name}})
-        yield api
+def api(under_policies: Api) -> Api:
+    for name in NAMESPACES:
+        under_policies.request("POST", "/api/v1/namespaces", {"metadata": {"name": name}})
+    return under_policies
 
 
 def image_words(reference: str, namespace: str = "vehicle-00") -> str:

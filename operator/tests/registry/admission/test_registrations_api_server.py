@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -44,9 +43,8 @@ BODIES: dict[str, dict[str, Any]] = {
 
 
 @pytest.fixture(scope="module")
-def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
-    with judged_api_server(tmp_path_factory.mktemp("api"), for_files(DOMAIN, ALLOWED)) as (api, _):
-        yield api
+def api(under_policies: Api) -> Api:
+    return under_policies
 
 
 def body(resource: str) -> dict[str, Any]:

@@ -7,10 +7,8 @@ from typing import Any
 
 import pytest
 
-from robotkube.registry.admission.core.policies import for_files
-from tests.stages.kubernetes.judged_api_server import ADMINISTRATOR, JSON_PATCH, Api, judged_api_server
+from tests.stages.kubernetes.judged_api_server import ADMINISTRATOR, JSON_PATCH, Api
 from tests.stages.registry.admission_examples import (
-    ALLOWED,
     APPLICATION_CONTROLLER,
     DOMAIN,
     KINDS,
@@ -21,7 +19,7 @@ from tests.stages.registry.admission_examples import (
     workload,
 )
 
-pytestmark = [pytest.mark.toolchain]  # a server of its own
+pytestmark = [pytest.mark.toolchain]  # a server of the session
 REMOVER = DOMAIN.remover_account
 NAMESPACE = "vehicle-00"
 DRY = "?dryRun=All"
@@ -34,12 +32,12 @@ Step = dict[str, Any]
 
 
 @pytest.fixture(scope="module")
-def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Api]:
-    with judged_api_server(tmp_path_factory.mktemp("api"), for_files(DOMAIN, ALLOWED)) as (api, _):
-        for name in (NAMESPACE, "robotkube-suite-0", "robotkube"):
-            api.request("POST", "/api/v1/namespaces", {"metadata": {"name": name}})
-        api.done("POST", path("Deployment", NAMESPACE), changed_deployment(), APPLICATION_CONTROLLER)
-        yield api
+def api(under_policies: Api) -> Iterator[Api]:
+    for name in (NAMESPACE, "robotkube-suite-0", "robotkube"):
+        under_policies.request("POST", "/api/v1/namespaces", {"metadata": {"name": name}})
+    under_policies.done("POST", path("Deployment", NAMESPACE), changed_deployment(), APPLICATION_CONTROLLER)
+    yield under_policies
+    under_policies.done("DELETE", f"{path('Deployment', NAMESPACE)}/detector")
 
 
 def changed_deployment(kind: str = "Deployment") -> Step:
@@ -182,6 +180,7 @@ def test_of_other_kinds_it_takes_nothing_away(api: Api, kind: str) -> None:
         "PATCH", f"{path(kind, NAMESPACE)}/detector{DRY}", remove("/metadata/annotations/note"), REMOVER, JSON_PATCH
     )
     assert words.startswith(f"{KINDS[kind][1]} detector changed by {REMOVER}")
+    api.done("DELETE", f"{path(kind, NAMESPACE)}/detector?propagationPolicy=Background")
 
 
 def test_a_pod_is_deleted_and_not_changed(api: Api) -> None:
