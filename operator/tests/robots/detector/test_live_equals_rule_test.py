@@ -27,7 +27,7 @@ pytestmark = pytest.mark.processes
 
 POSE = "geometry_msgs/msg/PoseStamped"
 AGENTS = ("vehicle-00", "vehicle-01")
-SECONDS, HERTZ = 8, 20
+SECONDS, HERTZ = 4, 40
 LEAD_SECONDS, LIVE_SECONDS_MAX = 1, 60.0
 SETTINGS = {
     "name": "cloud-0/live",
