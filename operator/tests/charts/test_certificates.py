@@ -68,8 +68,8 @@ class Installed:
 
     def decoded(self, namespace: str, name: str) -> dict[str, str]:
         """The values of a Secret."""
-        found = self.read(namespace, "secrets", name)
-        return {key: base64.b64decode(value).decode() for key, value in found.items()}
+        read = self.read(namespace, "secrets", name)
+        return {key: base64.b64decode(value).decode() for key, value in read.items()}
 
     def secret(self, name: str) -> dict[str, str]:
         return self.decoded(namespace_of(name), name)
