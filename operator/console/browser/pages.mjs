@@ -17,9 +17,20 @@ export async function withBrowser(use) {
   }
 }
 
-/** A page of the console at `url`, which `prepare` has before it goes there; what it complains of stands in `complaints`. */
-export async function openPage(browser, url, { size = "desk", dark = false, prepare = async () => {} } = {}) {
-  const context = await browser.newContext({ viewport: SIZES[size], colorScheme: dark ? "dark" : "light" });
+/**
+ * A page of the console at `url`, which `prepare` has before it goes there; what it complains of stands in `complaints`.
+ * With `anyAuthority` servers' certificates may be of anybody.
+ */
+export async function openPage(
+  browser,
+  url,
+  { size = "desk", dark = false, anyAuthority = false, prepare = async () => {} } = {},
+) {
+  const context = await browser.newContext({
+    viewport: SIZES[size],
+    colorScheme: dark ? "dark" : "light",
+    ignoreHTTPSErrors: anyAuthority,
+  });
   const page = await context.newPage();
   page.setDefaultTimeout(SECONDS_MAX * 1000);
   const complaints = [];

@@ -19,10 +19,14 @@ from urllib.parse import parse_qs, urlsplit
 import httpx
 import pytest
 
+from ci import console
+from ci.folders import PROJECT
 from robotkube.delivery.console import settings as console_settings
 from robotkube.delivery.console.adapters.web.application import Console, ConsoleSurroundings
 from robotkube.delivery.console.adapters.web.openid_connect import OpenIdConnect, authorization_url
+from robotkube.delivery.console.adapters.web.page_files import read_files
 from robotkube.delivery.console.adapters.web.people import People
+from robotkube.delivery.console.adapters.web.server import AsgiServer
 from robotkube.delivery.console.core.signing_in import SignIn
 from robotkube.delivery.console.loops.model import ReadModel
 from robotkube.errors import InputError, UnavailableError
@@ -44,6 +48,7 @@ pytestmark = pytest.mark.toolchain
 EMBEDDED = (PLATFORM / "values-embedded.yaml", Path(__file__).parent / "profiles" / "embedded.yaml")
 SERVICE = "forge.robotkube.svc.cluster.local:3000"
 URL = "https://console.example"
+PICTURES = PROJECT / "build" / "console" / "sign-in"
 HIDDEN = re.compile(r'<input type="hidden" name="(\w+)" value="([^"]*)">')
 WAYS_IN = (
     *("/api/v1/user", "/api/v1/repos/robotkube/deployment", "/login/oauth/userinfo", "/v2/"),
@@ -351,3 +356,30 @@ def test_a_forge_of_another_authority_is_told_no_code(stage: Stage) -> None:
     with pytest.raises(UnavailableError, match=r"its certificate is of an authority that .* does not have"):
         asyncio.run(stage.provider.person(code, VERIFIER))
     until(stage.forge.renewed(), "the renewed certificate")
+
+
+@pytest.fixture
+def served(stage: Stage) -> Iterator[str]:
+    """The console with its page, for a browser of this machine; its address, by which the client is registered."""
+    port = free_port()
+    sign_in = replace(stage.sign_in, url=f"http://localhost:{port}")
+    people = People(sign_in, OpenIdConnect(sign_in, client_id_file=stage.console.client_id_file), stage.console.writers)
+    around = ConsoleSurroundings(["localhost"], files=read_files(console.build()))
+    model = ReadModel("e", lambda: time.time_ns() // 1_000_000)
+    running = Console(model, people, PlatformInMemory().asking, around)
+    server = AsgiServer(running.app, "127.0.0.1", port)
+    stage.register(sign_in.url)
+    server.start()
+    yield f"{sign_in.url}/"
+    running.streams.stop()
+    server.stop()
+    stage.register()
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("granted", ["true", "false"])
+def test_a_person_signs_in_in_a_browser(stage: Stage, served: str, granted: str) -> None:
+    """Through the forge's own pages, to what the console shows, and out again; or says no to the forge."""
+    said = console.browse("sign_in", served, *stage.account("operator-team"), granted, str(PICTURES / granted))
+    wanted = {"true": "operator-team signed in, read, and signed out", "false": "not signed in, as it should be"}
+    assert said == f"{wanted[granted]}\n"
