@@ -10,7 +10,7 @@ from pathlib import Path
 from ci.folders import user_cache
 
 FILE = "durations.json"
-STEPS_MAX = 500
+STEPS_MAX = 1000
 SECONDS_MIN = 1.0  # what is done sooner needs no estimate
 
 
@@ -23,14 +23,19 @@ class Durations:
 
     def last(self, step: str) -> float | None:
         """The seconds that the step took when it was last done; None when nobody knows."""
-        return self._read().get(step)
+        return self.known().get(step)
 
     def note(self, step: str, seconds: float) -> None:
         """Keep how long the step took."""
-        if seconds < SECONDS_MIN:
+        self.note_all({step: seconds})
+
+    def note_all(self, steps: Mapping[str, float]) -> None:
+        """The same for several."""
+        new = {step: round(seconds, 1) for step, seconds in steps.items() if seconds >= SECONDS_MIN}
+        if not new:
             return
-        known = {name: value for name, value in self._read().items() if name != step}
-        kept = dict([*known.items(), (step, round(seconds, 1))][-STEPS_MAX:])
+        known = {name: value for name, value in self.known().items() if name not in new}
+        kept = dict([*known.items(), *new.items()][-STEPS_MAX:])
         part = self._file.with_name(f"{FILE}.{os.getpid()}.part")
         try:
             self._file.parent.mkdir(parents=True, exist_ok=True)
@@ -39,7 +44,8 @@ class Durations:
         except OSError:
             part.unlink(missing_ok=True)
 
-    def _read(self) -> Mapping[str, float]:
+    def known(self) -> Mapping[str, float]:
+        """How long each step took when it was last done."""
         try:
             document = json.loads(self._file.read_text(encoding="utf-8"))
             return {str(name): float(seconds) for name, seconds in document.items()}

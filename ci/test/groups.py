@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import sys
@@ -17,6 +18,7 @@ from pathlib import Path
 
 from _pytest.mark.expression import Expression
 
+from ci.durations import SECONDS_MIN, Durations
 from ci.folders import PROJECT
 from ci.test import child_runs, preparing, results, shared_servers
 
@@ -99,6 +101,9 @@ def run_pytest(group: Group, places: Sequence[str] = (TESTS,), output: Path | No
         environment[results.VARIABLE] = str(report)
         code = child_runs.run(command, TOP, group.name, group.seconds_max, environment, output)
         counts = results.read(report, code)
+    if list(places) == [TESTS]:
+        steps = {f"tests of {file}": max(seconds, SECONDS_MIN) for file, seconds in counts.seconds.items()}
+        Durations().note_all(steps)
     if not counts.passed + counts.failed + counts.skipped:
         print(f"{group.name}: no test was run (pytest ended with {code})", flush=True)
     if code and not counts.failed:
@@ -108,14 +113,23 @@ def run_pytest(group: Group, places: Sequence[str] = (TESTS,), output: Path | No
 
 
 def chosen(group: Group, places: Sequence[str]) -> list[str]:
-    """The files below some places in which a test of the group can be: reading all of them takes each of its processes
-    half a minute of a core, and so do as many options that leave one out. What is asked for by name stays, and so do
-    all places when there is no such file."""
+    """The files below some places in which a test of the group can be, in the order of their turns: reading all of them
+    takes each of its processes half a minute of a core, and so do as many options that leave one out. What is asked for
+    by name stays, and so do all places when there is no such file."""
     files = (file for place in places for file in files_below(place))
     read = [file for file in files if file in places or can_have_tests(group, TOP / file)] or list(places)
     if group.processes == 1:
         return read
-    return sorted(read, key=lambda place: bool(shared_servers.servers_of(TOP / place.partition("::")[0])))
+    known = Durations().known()
+    return sorted(read, key=lambda place: turn(place.partition("::")[0], known))
+
+
+def turn(file: str, known: Mapping[str, float]) -> tuple[bool, float]:
+    """What decides when a file of tests is begun where several processes run them: those that share a server after all
+    others, and of both those first of which nobody knows how long they take, then those that took longest at the last
+    time. A long one that is begun at the end would leave the other processes without anything to do."""
+    seconds = known.get(f"tests of {file.removeprefix('operator/')}", math.inf)
+    return bool(shared_servers.servers_of(TOP / file)), -seconds
 
 
 def files_below(place: str) -> list[str]:

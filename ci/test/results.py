@@ -2,7 +2,8 @@
 
 One JSON line per fact in the file named by ROBOTKUBE_TEST_RESULTS: {"test": <node id>, "outcome": "started" | "passed"
 | "failed" | "skipped", "why": <what a failure said>}. A test's outcome is the worst of its lines; one that only started
-died with its run, of whose end a line {"ended": <why>} tells if pytest itself could still say it.
+died with its run, of whose end a line {"ended": <why>} tells if pytest itself could still say it. The last line of a
+run that ends by itself is {"seconds": {<file>: <of its tests together>}}.
 """
 
 from __future__ import annotations
@@ -26,13 +27,15 @@ WHY_CHARACTERS_MAX = 400
 @dataclass(frozen=True)
 class Counts:
     """Numbers of tests by how they ended; `died` are those that started and never ended (they count as failed).
-    `failures` says of each failed one, in one line, why."""
+    `failures` says of each failed one, in one line, why; `seconds` what those of each file took, of a run that ended by
+    itself."""
 
     passed: int
     failed: int
     skipped: int
     died: tuple[str, ...] = ()
     failures: Mapping[str, str] = field(default_factory=dict, compare=False)
+    seconds: Mapping[str, float] = field(default_factory=dict, compare=False)
 
 
 def read(path: Path, code: int = 0) -> Counts:
@@ -40,10 +43,14 @@ def read(path: Path, code: int = 0) -> Counts:
     outcomes: dict[str, str] = {}
     failures: dict[str, str] = {}
     said: list[str] = []
+    seconds: dict[str, float] = {}
     for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
         fact = json.loads(line)
         if "ended" in fact:
             said.append(fact["ended"])
+            continue
+        if "seconds" in fact:
+            seconds = fact["seconds"]
             continue
         known = outcomes.get(fact["test"], "started")
         outcomes[fact["test"]] = max(known, fact["outcome"], key=WORST_LAST.index)
@@ -54,7 +61,8 @@ def read(path: Path, code: int = 0) -> Counts:
     code_says = f"pytest ended by {signal.Signals(-code).name}" if code < 0 else f"pytest ended with {code}"
     end = next(iter(said), code_says)  # what comes after the first follows from it
     failures |= dict.fromkeys(died, f"the run ended in the middle of it: {end}")
-    return Counts(ends.count("passed"), ends.count("failed") + len(died), ends.count("skipped"), died, failures)
+    failed = ends.count("failed") + len(died)
+    return Counts(ends.count("passed"), failed, ends.count("skipped"), died, failures, seconds)
 
 
 def why(report: pytest.TestReport | pytest.CollectReport) -> str:
@@ -91,6 +99,7 @@ class Recorder:
 
     path: Path
     processes: list[int] = field(default_factory=list, compare=False)
+    seconds: dict[str, float] = field(default_factory=dict, compare=False)
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodeready(self, node: Any) -> None:
@@ -112,7 +121,7 @@ class Recorder:
         """Add a test's line."""
         self.append({"test": test, "outcome": outcome, "why": why})
 
-    def append(self, fact: Mapping[str, str]) -> None:
+    def append(self, fact: Mapping[str, object]) -> None:
         """One line."""
         with self.path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(fact) + "\n")
@@ -120,7 +129,12 @@ class Recorder:
     def pytest_runtest_logstart(self, nodeid: str) -> None:
         self.note(nodeid, "started")
 
+    def pytest_sessionfinish(self) -> None:
+        self.append({"seconds": self.seconds})
+
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        file = report.nodeid.partition("::")[0]
+        self.seconds[file] = self.seconds.get(file, 0.0) + report.duration
         if report.when == "call" or report.outcome != "passed":
             self.note(report.nodeid, report.outcome, why(report) if report.failed else "")
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from ci.durations import Durations
 from ci.test import child_runs, groups, preparing, results
 from tests.stages.waiting import until
 
@@ -65,6 +66,11 @@ def test_hangs(server):
     pathlib.Path("hanging").touch()
     time.sleep(600)
 """
+
+
+@pytest.fixture(autouse=True)
+def _durations_of_its_own(monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
 
 
 def counted(folder: Path, name: str, text: str, processes: int = 1) -> tuple[int, results.Counts]:
@@ -170,6 +176,19 @@ def test_files_whose_tests_share_a_server_are_read_last(monkeypatch: pytest.Monk
     ]
 
 
+def test_what_took_longest_is_begun_first(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Of the files that share a server, and of all others; one that nobody knows, before what is known."""
+    monkeypatch.setattr(groups, "TOP", tmp_path)
+    group = next(group for group in groups.GROUPS if group.name == "processes")
+    (tmp_path / groups.TESTS).mkdir(parents=True)
+    for name, asks in (("a", ""), ("b", ""), ("c", "api: Api"), ("d", "api: Api"), ("e", "")):
+        text = f"pytestmark = pytest.mark.processes\ndef test_it({asks}) -> None: ...\n"
+        (tmp_path / groups.TESTS / f"test_{name}.py").write_text(text)
+    taken = {"a": 2.0, "b": 3.0, "c": 40.0, "d": 50.0}
+    Durations().note_all({f"tests of tests/test_{name}.py": seconds for name, seconds in taken.items()})
+    assert [Path(file).stem[-1] for file in groups.chosen(group, [groups.TESTS])] == ["e", "b", "a", "d", "c"]
+
+
 @pytest.mark.parametrize("mark", ["", *MARKS])
 def test_a_random_test_that_is_fast_is_tried_with_more_examples_too(mark: str) -> None:
     marks = {"random", mark}
@@ -205,6 +224,7 @@ def test_temporary_files_are_in_memory_where_that_has_room(tmp_path: Path, monke
 def test_each_test_counts_once_as_its_worst(tmp_path: Path) -> None:
     code, counts = counted(tmp_path, "mixed", MIXED)
     assert (code, counts) == (1, results.Counts(1, 2, 1))
+    assert set(counts.seconds) == {"test_mixed.py"}
 
 
 def test_each_failure_says_why(tmp_path: Path) -> None:
@@ -298,6 +318,8 @@ def test_a_group_with_a_failure_or_without_a_test_has_failed(
     assert counts.passed == passed
     assert counts.failed >= 1
     assert ("no test was run" in capsys.readouterr().out) == (not passed)
+    ended_by_itself = text != DYING
+    assert ("tests of tests/some/test_some.py" in Durations().known()) == (bool(text) and ended_by_itself)
 
 
 @pytest.mark.parametrize("processes", [1, 2])
