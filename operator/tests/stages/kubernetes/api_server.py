@@ -24,11 +24,14 @@ POLL_SECONDS = 0.1
 @dataclass
 class ApiServerProcess:
     """One control plane below `folder`; `stop_server` and `start_server` take only the API server away and back.
-    `options`: further ones of the API server; `environment`: further variables of both."""
+    `options`: further ones of the API server; `environment`: further variables of both; `signed_by`: the file of who
+    signed its certificate, where an option gives it one, and `host` a name or address that is in that."""
 
     folder: Path
     options: tuple[str, ...] = ()
     environment: Mapping[str, str] = field(default_factory=dict)
+    signed_by: Path | None = None
+    host: str = "127.0.0.1"
     gives_tokens: bool = False  # to pods, as every cluster does: then a pod's account has to be there first
     etcd_port: int = field(default_factory=free_port)
     port: int = field(default_factory=free_port)
@@ -42,8 +45,9 @@ class ApiServerProcess:
 
     @property
     def authority(self) -> Path:
-        """The file of who signed the API server's certificate, which it makes itself when it starts first."""
-        return self.folder / "certificates" / "apiserver.crt"
+        """The file of who signed the API server's certificate, which it makes itself when it starts first, unless it
+        was given one."""
+        return self.signed_by or self.folder / "certificates" / "apiserver.crt"
 
     def start(self) -> None:
         key = self.folder / "account.key"
@@ -85,7 +89,7 @@ class ApiServerProcess:
 
     def client(self) -> httpx.Client:
         """Requests of the administrator."""
-        headers, base = {"Authorization": f"Bearer {self.token}"}, f"https://127.0.0.1:{self.port}"
+        headers, base = {"Authorization": f"Bearer {self.token}"}, f"https://{self.host}:{self.port}"
         return httpx.Client(base_url=base, headers=headers, verify=believing(self.authority), timeout=30)
 
     def stop_server(self) -> None:
@@ -115,7 +119,7 @@ class ApiServerProcess:
         return (self.folder / "kube-apiserver.log").read_text()[-2000:]
 
     def _write_kubeconfig(self) -> None:
-        server = {"server": f"https://127.0.0.1:{self.port}", "certificate-authority": str(self.authority)}
+        server = {"server": f"https://{self.host}:{self.port}", "certificate-authority": str(self.authority)}
         document = {
             "apiVersion": "v1",
             "kind": "Config",

@@ -58,7 +58,7 @@ def server(folders: ClusterFolders, tmp_path: Path) -> Iterator[ApiServerProcess
         f"--tls-cert-file={pki / 'apiserver.crt'}",
         f"--tls-private-key-file={pki / 'apiserver.key'}",
     )
-    process = ApiServerProcess(tmp_path, options)
+    process = ApiServerProcess(tmp_path, options, signed_by=pki / "ca.crt", host="localhost")
     try:
         process.start()
         yield process
