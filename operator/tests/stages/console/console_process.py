@@ -13,6 +13,7 @@ import json
 import sys
 import threading
 import time
+from itertools import islice
 from pathlib import Path
 
 from robotkube.delivery.console.adapters.web.application import Console, ConsoleSurroundings
@@ -25,6 +26,7 @@ from tests.delivery.console.people import PlatformInMemory
 from tests.stages.console.synthetic import STEP_MS, Fleet
 
 EVENT_SECONDS = 1.0
+TASKS = 30  # and plans: of as many events as the fleet's view lists
 
 
 def now_ms() -> int:
@@ -46,7 +48,8 @@ class Feeding:
         items = self.fleet.snapshot(now_ms() // STEP_MS)["items"]
         for kind in kinds.KINDS:
             if kind not in (kinds.SOURCES, kinds.EVENTS) and items.get(kind):
-                self.model.replace(kind, items[kind])
+                most = TASKS if kind in (kinds.TASKS, kinds.PLANS) else None
+                self.model.replace(kind, dict(islice(items[kind].items(), most)))
         self.model.put_source("broker", "", "", (kinds.POSES,))
         self._thread.start()
 
