@@ -60,6 +60,7 @@ ORDER = (
     "cluster/test_other_cluster",
     "cluster/test_cluster_of_others",
     "kind/test_use_case_on_kind",
+    "kind/test_existing_on_kind",
     "cluster/test_interrupting",
     "cluster/test_scenarios",
 )

@@ -7,7 +7,7 @@ from pathlib import Path
 from tests import platform
 from tests.platform.conftest import ORDER
 
-TAKING_IT_AWAY = ("bare_platform import", ".down()", "cluster_of_others import", "remove_running(")
+TAKING_IT_AWAY = ("bare_platform import", ".down()", "cluster_of_others import", "remove_running(", "node_engine(")
 
 
 def test_modules_with_clusters_of_their_own_come_last() -> None:

@@ -11,24 +11,23 @@ from collections.abc import Iterator
 import pytest
 
 from ci import kind_cli
-from ci.cluster import choosing
 from ci.cluster.kind.configuration import CLUSTER, WORKERS, configuration
 from ci.cluster.kind.provider import KindCluster
 from ci.cluster_contract import topology
 from ci.cluster_contract.topology import Topology
 from ci.folders import PROJECT
-from ci.images import preparation
-from ci.kind_node_image import building, naming
+from ci.kind_node_image import naming
 from ci.kind_node_image.component_images import NETWORK
 from ci.machine import cgroups, preparing
 from scenarios import definition
-from tests.stages.kind.docker_engine import DockerEngine, docker_engine, left_of
+from tests.stages.kind.docker_engine import DockerEngine
+from tests.stages.kind.node_engine import node_engine, require_nothing_runs
 from tests.stages.platform.running_platform import SCENARIO, VARIANT, spoken
 
 pytestmark = pytest.mark.thorough
 
 REPORT = PROJECT / "build" / "reports" / SCENARIO.name / "report.json"
-LOAD_SECONDS_MAX, CREATE_SECONDS_MAX, DEMO_SECONDS_MAX, DOWN_SECONDS_MAX = 300, 400, 1500, 300
+CREATE_SECONDS_MAX, DEMO_SECONDS_MAX, DOWN_SECONDS_MAX = 400, 1500, 300
 SERVICE = "https://kubernetes.default.svc.cluster.local"
 # It finds the API server by its Service's name, and keeps a word on a volume of the class that kind has.
 JOB = rf"""
@@ -66,18 +65,8 @@ spec:
 
 @pytest.fixture(scope="module")
 def engine(pytestconfig: pytest.Config) -> Iterator[DockerEngine]:
-    """The engine, which has the image; it is made here when it is not in the cache, in about ten minutes."""
-    prepared = preparation.everything()
-    with spoken(pytestconfig):
-        choosing.remove_running(lambda text: print(f"\n{text}", file=sys.stderr, flush=True))
-        building.ensure()
-        kind_cli.ensure()
-    with docker_engine(prepared.binaries / "runc") as started:
-        assert f"{naming.reference()}\ndocker has it" in started.run(
-            "make", "kind-node-image", seconds=LOAD_SECONDS_MAX
-        )
+    with node_engine(pytestconfig) as started:
         yield started
-    assert left_of(started) == []
 
 
 def test_the_image_that_is_made_here_boots_a_cluster(engine: DockerEngine) -> None:
@@ -119,5 +108,4 @@ def test_the_use_case_runs_there_and_nothing_stays(
     assert f"of {naming.reference()}" in said.stderr
     removed = engine.run("make", "down", "CLUSTER=kind", seconds=DOWN_SECONDS_MAX)
     assert f"kind cluster {CLUSTER} with its containers and volumes" in removed
-    for kind in ("container", "volume"):
-        assert engine.run("docker", kind, "ls", "--quiet", *(["--all"] * (kind == "container")), seconds=60) == ""
+    require_nothing_runs(engine)

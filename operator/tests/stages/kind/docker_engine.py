@@ -29,7 +29,7 @@ MODULES = Path("/lib/modules")  # kind mounts it into nodes, whether or not ther
 START_SECONDS_MAX, END_SECONDS_MAX = 60, 30
 POLL_SECONDS = 0.2
 WORDS_MAX = 3000
-OWN = "kind-cluster"  # the folder of a cluster by kind below the user's cache: that of the machine's user stays
+OWN = ("kind-cluster", "existing")  # folders of clusters below the user's cache: those of the machine's user stay
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class DockerEngine:
         return self.folder / "log"
 
     def environment(self) -> dict[str, str]:
-        """Of a command that uses the engine: with the user's cache but for clusters by kind."""
+        """Of a command that uses the engine: with the user's cache but for clusters."""
         path = os.pathsep.join([*map(str, self.programs), os.environ["PATH"]])
         own = {
             "PATH": path,
@@ -186,10 +186,10 @@ def _write_settings(folder: Path, runc: Path) -> None:
 
 
 def _borrow_cache(folder: Path) -> None:
-    """A cache folder with everything that the user's has, by links, but for clusters by kind."""
+    """A cache folder with everything that the user's has, by links, but for clusters."""
     folder.mkdir(parents=True)
     for path in user_cache().iterdir():
-        if path.name != OWN:
+        if path.name not in OWN:
             (folder / path.name).symlink_to(path)
 
 

@@ -22,6 +22,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.asymmetric.utils import decode_dss_signature
 from cryptography.hazmat.primitives.hashes import SHA256
 
+from ci.cluster.embedded.network.namespaces import inside
 from robotkube.foundation.certificates.adapters.issuing import issue, new_authority
 from tests.stages import waiting
 from tests.stages.handshakes import certified, server_context, written
@@ -33,6 +34,7 @@ SECONDS = 300
 LOOPBACK = "127.0.0.1"
 COORDINATE_BYTES = 32
 END_SECONDS_MAX = 20
+OWN_NAMESPACE = Path("/proc/self/ns/net")
 
 
 def _plain(data: bytes) -> str:
@@ -98,11 +100,11 @@ def running(program: Path, folder: Path) -> Iterator[Distribution]:
 
 
 @contextmanager
-def open_to_all(program: Path, folder: Path, address: str) -> Iterator[Distribution]:
-    """The registry at an address of this machine, without accounts."""
+def open_to_all(program: Path, folder: Path, address: str, namespace: Path = OWN_NAMESPACE) -> Iterator[Distribution]:
+    """The registry at an address of this machine, or of another network namespace on it, without accounts."""
     authority = new_authority("registry", time.time())
     certified(folder / "tls", authority, address)
-    with _process(program, folder, address, {}) as host:
+    with _process(program, folder, address, {}, namespace) as host:
         yield Distribution(host, written(folder / "ca", authority), Tokens(), folder / "log")
 
 
@@ -114,7 +116,9 @@ def _taking_tokens(folder: Path, tokens: Tokens, realm: str) -> dict[str, Any]:
 
 
 @contextmanager
-def _process(program: Path, folder: Path, address: str, access: Mapping[str, Any]) -> Iterator[str]:
+def _process(
+    program: Path, folder: Path, address: str, access: Mapping[str, Any], namespace: Path = OWN_NAMESPACE
+) -> Iterator[str]:
     host = f"{address}:{free_port()}"
     settings = {
         "version": "0.1",
@@ -129,9 +133,11 @@ def _process(program: Path, folder: Path, address: str, access: Mapping[str, Any
     }
     (folder / "registry.yaml").write_text(yaml.safe_dump(settings), encoding="utf-8")
     with (folder / "log").open("w") as log:
-        process = subprocess.Popen([program, "serve", str(folder / "registry.yaml")], stdout=log, stderr=log)
+        entered = [] if namespace == OWN_NAMESPACE else ["nsenter", f"--net={namespace}"]
+        command = [*entered, str(program), "serve", str(folder / "registry.yaml")]
+        process = subprocess.Popen(command, stdout=log, stderr=log)
         try:
-            waiting.until(lambda: process.poll() is not None or _answers(host), "registry", seconds=60)
+            waiting.until(lambda: process.poll() is not None or _answers(host, namespace), "registry", seconds=60)
             assert process.poll() is None, (folder / "log").read_text()[-2000:]
             yield host
         finally:
@@ -143,11 +149,14 @@ def _process(program: Path, folder: Path, address: str, access: Mapping[str, Any
                 process.wait()
 
 
-def _answers(host: str) -> bool:
-    try:
-        return httpx.get(f"https://{host}/v2/", verify=False, trust_env=False, timeout=5).status_code in (200, 401)  # noqa: S501
-    except httpx.TransportError:
-        return False
+def _answers(host: str, namespace: Path) -> bool:
+    def answers() -> bool:
+        try:
+            return httpx.get(f"https://{host}/v2/", verify=False, trust_env=False, timeout=5).status_code in (200, 401)  # noqa: S501
+        except httpx.TransportError:
+            return False
+
+    return answers() if namespace == OWN_NAMESPACE else inside(namespace, answers)
 
 
 class _Handler(BaseHTTPRequestHandler):
