@@ -152,7 +152,7 @@ def require_digests(cluster: LentCluster, bundled: Mapping[str, str], of_its_own
     by_forge = {name for name in names if name in SERVICE_NAMES}
     places = {name: FORGE if name in by_forge else cluster.place for name in names}
     assert by_forge
-    assert runs == {f"{places[name]}/{name}@{bundled[name]}" for name in names}
+    assert runs == {f"{places[name]}/{name}@{bundled.get(name)}" for name in names}
 
 
 def settled_objects(cluster: LentCluster) -> Objects:
@@ -160,7 +160,7 @@ def settled_objects(cluster: LentCluster) -> Objects:
     end = time.monotonic() + SETTLE_SECONDS_MAX
     last, now = _objects(cluster), _objects(cluster)
     while changed := _differences(last, now):
-        assert time.monotonic() < end, f"the cluster changes by itself: {changed}"
+        assert time.monotonic() < end, f"the cluster changes by itself:\n{_said(changed)}"
         time.sleep(POLL_SECONDS)
         last, now = now, _objects(cluster)
     return now
@@ -170,7 +170,7 @@ def require_as_before(cluster: LentCluster, before: Objects) -> None:
     """Fail with every object that is not as it was: restarts of what was given back, and volumes, take a while."""
     end = time.monotonic() + SETTLE_SECONDS_MAX
     while changed := _differences(before, _objects(cluster)):
-        assert time.monotonic() < end, changed
+        assert time.monotonic() < end, f"not as before:\n{_said(changed)}"
         time.sleep(POLL_SECONDS)
 
 
@@ -178,6 +178,11 @@ def _differences(before: Objects, after: Objects) -> Objects:
     """What each object that differs was, and what it is."""
     names = sorted(name for name in before | after if before.get(name) != after.get(name))
     return {name: (before.get(name), after.get(name)) for name in names}
+
+
+def _said(changed: Objects) -> str:
+    """A line for each object, whole: a failure cuts what is no text."""
+    return "\n".join(f"{name}: was {was}, is {now}" for name, (was, now) in changed.items())
 
 
 def _objects(cluster: LentCluster) -> Objects:
