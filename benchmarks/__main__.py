@@ -70,6 +70,8 @@ def main() -> int:
     comparisons: list[Comparison] = []
     try:
         preparing.prepare("toolchain" if NEED_IMAGES.isdisjoint(chosen) else "images")
+        if "console" in chosen:
+            console.prepare()
         print(f"{'':<48} {'ours':>9} {'baseline':>9} {'':<6} {'ratio':>6} {'at most':>6}", flush=True)
         for name in chosen:
             began = time.monotonic()

@@ -21,7 +21,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from benchmarks.measuring.comparisons import Comparison, module_environment, quantiles, record
-from ci import console
+from ci import console, packages
 from ci.errors import SetUpError
 from ci.folders import PROJECT
 
@@ -43,6 +43,12 @@ class Size:
 
 
 LARGE, SMALL = Size(1000, 5000), Size(15, 60)
+
+
+def prepare() -> None:
+    """Have the page and a browser; SetUpError when they cannot be had."""
+    packages.ensure("browser")
+    console.build()
 
 
 @contextmanager

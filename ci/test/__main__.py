@@ -6,7 +6,7 @@ what these print follows once they have ended.
 
 What a group needs (Debian packages, tool chain, images) is made before its time begins, once, and cached. Tests find
 the programs of the tool chain in the folder ROBOTKUBE_TOOLCHAIN_BIN. A group that runs no test has failed, and so has a
-whole run during which a file of the repository changed.
+whole run during which a file that git has changed.
 """
 
 from __future__ import annotations

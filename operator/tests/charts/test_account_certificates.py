@@ -4,6 +4,7 @@ is, and whoever has none, an expired or revoked one, or one of somebody else's a
 from __future__ import annotations
 
 import contextlib
+import socket
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,6 +16,7 @@ from robotkube.delivery.rights.adapters.dynamic_security import DynamicSecurity
 from robotkube.foundation.certificates.adapters.issuing import describe, issue, issue_account, new_authority
 from robotkube.foundation.certificates.core.lives import Pair
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
+from scenarios.runner.observing.broker_and_pods import BrokerObserver
 from tests.stages.delivery.encrypted_broker import NAME, EncryptedBroker, Turned, running
 from tests.stages.paths import CHARTS
 from tests.stages.waiting import until
@@ -22,6 +24,8 @@ from tests.stages.waiting import until
 pytestmark = pytest.mark.toolchain
 
 PROFILE = Path(__file__).parent / "profiles" / "official.yaml"
+SHORT_SECONDS = 3.0
+CLOUD = "mqtt/vehicles/vehicle_00/lidar_center/pointcloud"
 OWN, OTHER = "mqtt/vehicles/vehicle_00/pose", "mqtt/vehicles/vehicle_01/pose"
 
 
@@ -170,3 +174,20 @@ def test_the_server_is_verified_as_before(broker: EncryptedBroker, turned: Turne
     other = new_authority("ours", time.time())
     broker.renewed(3600, authority=other)
     assert "is of an authority that" in turned.complaint(broker.proved("vehicle-00"))
+
+
+def test_the_observer_of_a_run_comes_back_with_the_certificate_of_then(broker: EncryptedBroker, turned: Turned) -> None:
+    """Its first one has ended when the connection breaks: certificates may live shorter than a run."""
+    began = time.time()
+    accounts = [broker.proved("observer", issue_account(broker.authority, "observer", began, SHORT_SECONDS))]
+    observer = BrokerObserver(lambda: accounts[-1])
+    observer.start()
+    until(lambda: time.time() > began + SHORT_SECONDS, "the end of the certificate")
+    accounts.append(broker.proved("observer"))
+    connection = observer._client.socket()
+    assert isinstance(connection, socket.socket)
+    connection.shutdown(socket.SHUT_RDWR)
+    vehicle, _ = turned.add(broker.proved("vehicle-00"), "vehicle-00-bulk")
+    turned.until(lambda: vehicle.complaint is None, "the vehicle connected")
+    turned.until(lambda: vehicle.publish(CLOUD, b"cloud", False) is not None and observer._messages, "a cloud is seen")
+    assert observer.stop().gaps == 1

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import urllib3
 from kubernetes import client, config
 from kubernetes.client.exceptions import ApiException
 from kubernetes.stream import stream
@@ -268,7 +269,7 @@ class Access:
             return function(*arguments, _request_timeout=ANSWER_SECONDS_MAX, **options)
         except ApiException as error:
             raise RunError(f"{what}: {error.status} {error.reason}: {str(error.body)[:300]}") from error
-        except OSError as error:
+        except (OSError, urllib3.exceptions.HTTPError) as error:
             raise RunError(f"{what}: the API server does not answer: {error}") from error
 
 

@@ -54,7 +54,8 @@ def load_k3s(bundle: Bundle, folder: Path, name: str = "") -> Path:
 
 def others_of_k3s(archive: Path) -> list[Path]:
     """The archives beside this one that earlier loads have left: k3s imports them as well, at each of its starts."""
-    return sorted(file for file in archive.parent.iterdir() if is_archive(file.name) and file != archive)
+    beside = (file for file in archive.parent.iterdir() if is_archive(file.name) and file != archive)
+    return sorted(file for file in beside if file.is_file())
 
 
 def load_containerd(bundle: Bundle, address: str) -> str:
