@@ -1,14 +1,15 @@
-"""Proposals that a real forge refuses: it is told at once and with the forge's words, and never taken for away."""
+"""Proposals and pushes that a real forge refuses: told at once, with the forge's words, and never taken for away."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from robotkube.errors import AccountRefusedError, RefusalError
-from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter
+from robotkube.errors import AccountRefusedError, InputError, RefusalError
+from robotkube.foundation.forge.adapters.git import GitClone, ProposalWriter, WorkingClone
 from tests.stages import http_calls
 from tests.stages.forge.gitea import PASSWORD
 from tests.stages.forge.installation import Installation
@@ -50,19 +51,43 @@ def test_what_a_hook_declines(propose: Propose) -> None:
         propose("own", open_pull_request=lambda *_: 7)
 
 
-def test_a_repository_that_nobody_may_write_to(propose: Propose, own_installation: Installation) -> None:
-    def archive(archived: bool) -> None:
-        address = f"{own_installation.url}/api/v1/repos/robotkube/deployment"
-        answer = http_calls.patch(address, json={"archived": archived}, auth=("administrator", PASSWORD))
+@contextmanager
+def archived(installation: Installation) -> Iterator[None]:
+    """A repository that nobody may write to."""
+
+    def archive(state: bool) -> None:
+        address = f"{installation.url}/api/v1/repos/robotkube/deployment"
+        answer = http_calls.patch(address, json={"archived": state}, auth=("administrator", PASSWORD))
         assert answer.status_code == 200
 
     archive(True)
     try:
-        with pytest.raises(RefusalError, match=r"proposal late: it answers account manager with 403: .*archived"):
-            propose("late")
+        yield
     finally:
         archive(False)
+
+
+def test_a_repository_that_nobody_may_write_to(propose: Propose, own_installation: Installation) -> None:
+    with (
+        archived(own_installation),
+        pytest.raises(RefusalError, match=r"proposal late: it answers account manager with 403: .*archived"),
+    ):
+        propose("late")
     assert propose("late") is not None, "it is asked for again, and taken"
+
+
+def test_main_of_a_repository_that_nobody_may_write_to(own_installation: Installation, tmp_path: Path) -> None:
+    password = own_installation.passwords["gate"]
+    clone = GitClone(own_installation.url, "robotkube/deployment", "gate", password, tmp_path)
+    writer = ProposalWriter(tmp_path, "gate", password, "gate", lambda: 1.0)
+    commit = writer.commit(clone.fetch(), {"releases/a/x.yaml": "1\n"}, "m\n")
+    words = r"refused: it answers account gate with 403: .*archived.*; account gate must be on the branch's push list"
+    with archived(own_installation), pytest.raises(InputError, match=words):
+        clone.push_main(commit)
+    working = WorkingClone(tmp_path)
+    url = f"{own_installation.url}/robotkube/deployment"
+    with archived(own_installation), pytest.raises(RefusalError, match=r"PushRefused: .* gate with 403: .*archived"):
+        working.push(url, ("gate", password), commit, "refs/heads/main", [])
 
 
 def test_an_account_without_this_repository(propose: Propose) -> None:

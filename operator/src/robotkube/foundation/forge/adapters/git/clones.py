@@ -13,7 +13,7 @@ from pathlib import Path
 import pygit2
 from pygit2.enums import FileMode
 
-from robotkube.errors import AccountRefusedError, DocumentError, InputError, UnavailableError
+from robotkube.errors import AccountRefusedError, DocumentError, InputError, RobotKubeError, UnavailableError
 from robotkube.foundation.forge.adapters.git.commit_objects import LOOSE_MAX, pack_loose, store_objects
 from robotkube.foundation.forge.adapters.git.connection import (
     ORIGIN,
@@ -23,6 +23,7 @@ from robotkube.foundation.forge.adapters.git.connection import (
     open_clone,
     what_failed,
 )
+from robotkube.foundation.forge.adapters.git.refusals import refusal_words, refused_status
 from robotkube.foundation.forge.core.commit_objects import CommitObjects
 from robotkube.foundation.forge.ports.repositories import Commit, CommitShape
 from robotkube.writes import writes
@@ -40,7 +41,8 @@ class GitClone:
     """Ports MainBranch and Catalogue for one repository `<url>/<organisation>/<name>`; the clone stands in `folder`.
 
     Not for several threads at once. UnavailableError: the forge does not answer or refuses the account; a caller may
-    try again. InputError: what was asked for is not there; DocumentError: the commit is not one that can be judged.
+    try again. InputError: what was asked for is not there, or the forge refuses what is pushed; DocumentError: the
+    commit is not one that can be judged.
     """
 
     def __init__(
@@ -261,7 +263,7 @@ class GitClone:
         except pygit2.GitError as error:
             if "non-fastforward" in str(error) or "not present locally" in str(error):
                 return False
-            raise self._unavailable("push", error) from error
+            raise self._not_pushed(commit, error) from error
         except (PermissionError, OSError) as error:
             raise self._unavailable("push", error) from error
         if connection.refusal:
@@ -269,13 +271,23 @@ class GitClone:
         self.moved_to(commit)
         return True
 
+    def _not_pushed(self, commit: str, error: Exception) -> RobotKubeError:
+        """The error for what libgit2 raised at a push: the forge is away, does not know the account, or refuses."""
+        if not (status := refused_status(error)):
+            return self._unavailable("push", error)
+        url = str(self._repository.remotes[ORIGIN].url)
+        return self._refusal(commit, refusal_words(status, url, self._account))
+
     def _refused(self, commit: str, refusal: str) -> bool:
         if self.fetch() == commit:
             return True
         if self.tip not in self._lookup(commit).parent_ids:
             return False
-        raise InputError(
-            f"{self._where}: push of {commit} to {self._branch} refused: {refusal}; "
+        raise self._refusal(commit, refusal)
+
+    def _refusal(self, commit: str, words: str) -> InputError:
+        return InputError(
+            f"{self._where}: push of {commit} to {self._branch} refused: {words}; "
             f"account {self._account[0]} must be on the branch's push list (the bootstrap Job sets it)"
         )
 

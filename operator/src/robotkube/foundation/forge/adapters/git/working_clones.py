@@ -11,6 +11,7 @@ import pygit2
 
 from robotkube.errors import InputError, RefusalError, UnavailableError
 from robotkube.foundation.forge.adapters.git.connection import EMAIL_DOMAIN, GitConnection, what_failed
+from robotkube.foundation.forge.adapters.git.refusals import refusal_words, refused_status
 from robotkube.writes import writes
 
 
@@ -82,6 +83,8 @@ class WorkingClone:
                 raise RefusalError(
                     "MainMoved", f"{url}: main has moved; sign a commit that stands on its tip"
                 ) from error
+            if status := refused_status(error):
+                raise RefusalError("PushRefused", f"{url}: {refusal_words(status, url, account)}") from error
             raise UnavailableError(f"{url}: push: {what_failed(error, url)}") from error
         finally:
             self._repository.references.delete(name)
