@@ -28,12 +28,12 @@ def propose(own_installation: Installation, tmp_path: Path) -> Propose:
     tip = clone.fetch()
 
     def proposed(
-        topic: str, text: str = "1\n", account: str = "manager", password: str = "", **more: object
+        topic: str, text: str = "1\n", account: str = "manager", password: str = "", title: str = "t", **more: object
     ) -> int | None:
         given = password or own_installation.passwords[account]
         writer = ProposalWriter(tmp_path, account, given, "m", lambda: 1.0, **more)  # type: ignore[arg-type]
         commit = writer.commit(tip, {"releases/a/x.yaml": text}, "m\n")
-        return writer.propose(commit, topic, "t", "b")
+        return writer.propose(commit, topic, title, "b")
 
     return proposed
 
@@ -42,6 +42,12 @@ def test_what_would_not_be_fast_forward(propose: Propose) -> None:
     assert propose("moved") is not None
     with pytest.raises(RefusalError, match="the forge refused proposal moved: request `force-push` push option"):
         propose("moved", "2\n")
+
+
+def test_a_title_of_many_moves_is_cut(propose: Propose, own_installation: Installation) -> None:
+    number = propose("many", title="é" * 70_000)
+    address = f"{own_installation.url}/api/v1/repos/robotkube/deployment/pulls/{number}"
+    assert http_calls.get(address, auth=("administrator", PASSWORD)).json()["title"] == "é" * 249 + "…"
 
 
 def test_what_a_hook_declines(propose: Propose) -> None:

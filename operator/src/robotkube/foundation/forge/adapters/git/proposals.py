@@ -29,6 +29,7 @@ from robotkube.foundation.forge.core.commit_objects import CommitObjects
 from robotkube.writes import writes
 
 DESCRIPTION_BYTES_MAX = 48 * 1024  # the forge takes 64 KiB per push option; base64 makes a third more
+TITLE_CHARACTERS_MAX = 250  # forges keep 255 at most; a push option that is too large ends the push without an answer
 BRANCHES = "robotkube"
 PROPOSAL_REFERENCE = "refs/proposals-of-mine/current"
 
@@ -99,7 +100,8 @@ class ProposalWriter:
 
     @writes("git")
     def propose(self, commit: str, topic: str, title: str, body: str) -> int | None:
-        """Push `commit` for review; the pull request's number when the forge names it.
+        """Push `commit` for review; the pull request's number when the forge names it. A title is cut to what forges
+        keep.
 
         UnavailableError when the forge does not answer; AccountRefusedError when it does not know the account;
         RefusalError, with its words, when it refuses the push, which no further attempt changes."""
@@ -107,6 +109,7 @@ class ProposalWriter:
         self._repository.references.create(PROPOSAL_REFERENCE, git_commit.id, force=True)
         if self._send_objects is not None and (objects := new_objects(self._repository, git_commit)) is not None:
             self._send_objects(objects)
+        title = title if len(title) <= TITLE_CHARACTERS_MAX else f"{title[: TITLE_CHARACTERS_MAX - 1]}…"
         text = body.encode()[:DESCRIPTION_BYTES_MAX].decode(errors="ignore")
         if self._open is None:
             options = [
