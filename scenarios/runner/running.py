@@ -31,8 +31,9 @@ from scenarios.runner.inputs import (
 )
 from scenarios.runner.judging import evidence
 from scenarios.runner.observing import collecting
-from scenarios.runner.observing.broker_and_pods import BrokerObserver, PodWatch
+from scenarios.runner.observing.broker import BrokerObserver
 from scenarios.runner.observing.cpu import CpuSampler
+from scenarios.runner.observing.pods import PodWatch
 from scenarios.runner.observing.tasks import TaskWatch
 from scenarios.runner.platform import inspection, proposing
 from scenarios.runner.platform.access import PLATFORM, Access, Endpoint

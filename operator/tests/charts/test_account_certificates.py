@@ -16,7 +16,7 @@ from robotkube.delivery.rights.adapters.dynamic_security import DynamicSecurity
 from robotkube.foundation.certificates.adapters.issuing import describe, issue, issue_account, new_authority
 from robotkube.foundation.certificates.core.lives import Pair
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
-from scenarios.runner.observing.broker_and_pods import BrokerObserver
+from scenarios.runner.observing.broker import BrokerObserver
 from tests.stages.delivery.encrypted_broker import NAME, EncryptedBroker, Turned, running
 from tests.stages.paths import CHARTS
 from tests.stages.waiting import until

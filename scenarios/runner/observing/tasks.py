@@ -1,79 +1,45 @@
-"""Watches the tasks of a run: when they came and went and their conditions changed, by the time of the watch event."""
+"""The lives of the tasks in a run: when they came and went and their conditions changed, by the time of the watch
+event."""
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
-from kubernetes import watch
-
 from scenarios.runner.inputs import TaskCondition, TaskLife
+from scenarios.runner.observing.repeated_watch import RepeatedWatch
 from scenarios.runner.platform.access import TASKS, Access
 
-WATCH_SECONDS = 300
-STOP_SECONDS_MAX = 5.0
 CONDITIONS_MAX = 1000  # of one task
 
 
-class TaskWatch:
+class TaskWatch(RepeatedWatch):
     """A watch of all tasks from `start` to `stop`."""
 
     def __init__(self, access: Access, progress: Callable[[str], None]) -> None:
-        self._access, self._progress = access, progress
+        super().__init__("tasks", progress)
+        self._access = access
         self._lives: dict[str, TaskLife] = {}
-        self._lock = threading.Lock()
-        self._ending = threading.Event()
-        self._watch: Any = None
-        self._thread = threading.Thread(target=self._run, name="tasks", daemon=True)
-
-    def start(self) -> None:
-        """Begins to watch."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Ends; bounded, since the watch may be silent."""
-        self._ending.set()
-        if self._watch is not None:
-            self._watch.stop()
-        self._thread.join(STOP_SECONDS_MAX)
 
     def lives(self) -> tuple[TaskLife, ...]:
         """The lives seen so far, in order of their beginnings."""
         with self._lock:
             return tuple(sorted(self._lives.values(), key=lambda life: life.created))
 
-    def _run(self) -> None:
-        while not self._ending.is_set():
-            try:
-                self._watch_once()
-            except Exception as error:
-                if not self._ending.is_set():
-                    self._progress(f"watch of the tasks begins again: {type(error).__name__}")
-                    self._ending.wait(1.0)
-
     def _watch_once(self) -> None:
-        """One watch: what is there, then its events until it ends; tasks that went in between are noted as gone now."""
-        listed = self._access.objects.list_cluster_custom_object(*TASKS)
+        """One watch; tasks that went between it and the one before are noted as gone now."""
+        listing = self._access.objects.list_cluster_custom_object
+        listed = listing(*TASKS)
         present = {item["metadata"]["uid"] for item in listed["items"]}
         for item in listed["items"]:
             self.note("MODIFIED", item)
         with self._lock:
             for uid in [uid for uid, life in self._lives.items() if life.deleted is None and uid not in present]:
                 self._lives[uid] = replace(self._lives[uid], deleted=time.time_ns())
-        self._watch = watch.Watch()
-        events = self._watch.stream(
-            self._access.objects.list_cluster_custom_object,
-            *TASKS,
-            resource_version=listed["metadata"]["resourceVersion"],
-            timeout_seconds=WATCH_SECONDS,
-        )
-        for event in events:
-            self.note(event["type"], event["object"])
-            if self._ending.is_set():
-                return
+        for kind, task in self._events(listing, *TASKS, since=listed["metadata"]["resourceVersion"]):
+            self.note(kind, task)
 
     def note(self, kind: str, task: Mapping[str, Any]) -> None:
         """One event: a task as the API server has it, ADDED, MODIFIED or DELETED."""

@@ -18,7 +18,7 @@ from ci.cluster.embedded.disk_volumes import end_of
 from ci.errors import SetUpError
 from scenarios import definition
 from scenarios.runner import __main__, running, waiting
-from scenarios.runner.observing import broker_and_pods, collecting, cpu
+from scenarios.runner.observing import broker, collecting, cpu, pods
 from scenarios.runner.platform import deployment, inspection
 from scenarios.runner.platform.access import Endpoint
 from scenarios.runner.playing import cables, policy, readiness
@@ -315,9 +315,9 @@ def test_groups_have_the_names_of_their_components(
 
 def test_the_messages_of_a_batch_are_counted() -> None:
     batch = struct.pack("<4sQQI", b"RKF1", 1, 2, 3) + b"..."
-    assert broker_and_pods.message_count(batch) == 3
-    assert broker_and_pods.message_count(b"something else that is long enough") == 1
-    assert broker_and_pods.message_count(b"") == 1
+    assert broker.message_count(batch) == 3
+    assert broker.message_count(b"something else that is long enough") == 1
+    assert broker.message_count(b"") == 1
 
 
 def pod(phase: str, ready: bool = False, uid: str = UID, namespace: str = "cloud-0") -> SimpleNamespace:
@@ -327,7 +327,7 @@ def pod(phase: str, ready: bool = False, uid: str = UID, namespace: str = "cloud
 
 
 def test_a_pod_s_life_is_noted_from_the_watch() -> None:
-    watch = broker_and_pods.PodWatch(None, ["cloud-0"], lambda _: None)  # type: ignore[arg-type]
+    watch = pods.PodWatch(None, ["cloud-0"], lambda _: None)  # type: ignore[arg-type]
     for kind, seen in (
         ("ADDED", pod("Pending")),
         ("MODIFIED", pod("Running")),

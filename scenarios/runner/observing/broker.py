@@ -1,5 +1,4 @@
-"""Watches a run from outside: clouds and results at the broker with an account of its own, and the lives of the agents'
-pods."""
+"""What crosses the broker in a run: clouds and results, seen with an account of one's own."""
 
 from __future__ import annotations
 
@@ -7,11 +6,10 @@ import ssl
 import struct
 import threading
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
-from kubernetes import watch
 from paho.mqtt import client as mqtt
 from paho.mqtt.enums import CallbackAPIVersion
 
@@ -20,8 +18,7 @@ from robotkube.foundation.certificates.adapters.verification import load_authori
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.core.batches import BatchError, decode_batch
 from robotkube.robots.mqtt.core.client_ids import client_id
-from scenarios.runner.inputs import BrokerLog, BrokerMessages, BrokerResult, Pod
-from scenarios.runner.platform.access import Access
+from scenarios.runner.inputs import BrokerLog, BrokerMessages, BrokerResult
 from scenarios.runner.waiting import RunError
 
 BATCH_HEADER = struct.Struct("<4sQQI")  # magic, session, sequence, number of messages
@@ -30,8 +27,6 @@ CLOUDS = "mqtt/vehicles/+/lidar_center/pointcloud"
 RESULTS = "mqtt/vehicles/+/tracks"
 CONNECT_SECONDS_MAX = 15.0
 BATCHES_MAX = 200_000
-WATCH_SECONDS = 300
-STOP_SECONDS_MAX = 5.0
 
 
 @dataclass
@@ -146,81 +141,3 @@ def message_count(payload: bytes) -> int:
     if len(payload) < BATCH_HEADER.size or payload[:4] != MAGIC:
         return 1
     return int(BATCH_HEADER.unpack_from(payload)[3])
-
-
-class PodWatch:
-    """A watch of the pods in the agents' namespaces: when they appear, run, are ready and are gone."""
-
-    def __init__(self, access: Access, namespaces: Sequence[str], progress: Callable[[str], None]) -> None:
-        self._access = access
-        self._namespaces = frozenset(namespaces)
-        self._progress = progress
-        self._pods: dict[str, Pod] = {}
-        self.labels: dict[str, tuple[str, str, dict[str, str]]] = {}
-        self._lock = threading.Lock()
-        self._ending = threading.Event()
-        self._watch: Any = None
-        self._thread = threading.Thread(target=self._run, name="pods", daemon=True)
-
-    def start(self) -> None:
-        """Begins to watch; pods that exist already are noted with the time of their first event."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Ends; bounded, since the watch may be silent."""
-        self._ending.set()
-        if self._watch is not None:
-            self._watch.stop()
-        self._thread.join(STOP_SECONDS_MAX)
-
-    def pods(self) -> tuple[Pod, ...]:
-        """The lives seen so far."""
-        with self._lock:
-            return tuple(self._pods.values())
-
-    def _run(self) -> None:
-        while not self._ending.is_set():
-            try:
-                self._watch_once()
-            except Exception as error:
-                if not self._ending.is_set():
-                    self._progress(f"watch of the pods begins again: {type(error).__name__}")
-                    self._ending.wait(1.0)
-
-    def _watch_once(self) -> None:
-        """One watch: what is there, then its events until it ends; pods that went in between are noted as gone now."""
-        listed = self._access.core.list_pod_for_all_namespaces()
-        present = {pod.metadata.uid for pod in listed.items}
-        for pod in listed.items:
-            self._note("MODIFIED", pod)
-        for uid in [pod.uid for pod in self.pods() if pod.deleted is None and pod.uid not in present]:
-            self._put(replace(self._pods[uid], deleted=time.time_ns()))
-        self._watch = watch.Watch()
-        events = self._watch.stream(
-            self._access.core.list_pod_for_all_namespaces,
-            resource_version=listed.metadata.resource_version,
-            timeout_seconds=WATCH_SECONDS,
-        )
-        for event in events:
-            self._note(event["type"], event["object"])
-            if self._ending.is_set():
-                return
-
-    def _note(self, kind: str, pod: Any) -> None:
-        now = time.time_ns()
-        data = pod.metadata
-        self.labels[data.uid] = (data.namespace, data.name, dict(data.labels or {}))
-        if data.namespace not in self._namespaces:
-            return
-        known = self._pods.get(data.uid) or Pod(data.namespace, data.name, data.uid, now)
-        if kind == "DELETED":
-            known = replace(known, deleted=known.deleted or now)
-        if pod.status.phase == "Running":
-            known = replace(known, running=known.running or now)
-        if any(c.type == "Ready" and c.status == "True" for c in pod.status.conditions or []):
-            known = replace(known, ready=known.ready or now)
-        self._put(known)
-
-    def _put(self, pod: Pod) -> None:
-        with self._lock:
-            self._pods[pod.uid] = pod
