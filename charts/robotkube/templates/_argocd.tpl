@@ -1,3 +1,24 @@
+{{- /* How managers reach argocd-server: {url, authorities}. JSON. */ -}}
+{{- define "robotkube.argocdServer" -}}
+{{- $server := .Values.argocd.server | default dict }}
+{{- $authorities := $server.authorities | default "" }}
+{{- $service := include "robotkube.host" (dict "root" . "name" "argocd-server" "namespace" .Values.argocd.namespace) }}
+{{- toJson (dict "authorities" $authorities "url" ($server.url | default (printf "%s://%s" (ternary "https" "http" (ne $authorities "")) $service))) }}
+{{- end }}
+
+{{- /* What is wrong with these values, a line each. */ -}}
+{{- define "robotkube.argocdRefusals" -}}
+{{- $server := include "robotkube.argocdServer" . | fromJson }}
+{{- if contains "PRIVATE KEY" $server.authorities }}
+{{ print "argocd.server.authorities: holds a private key; it would stand in a ConfigMap. Give the certificate alone, and argocd-server another key from now on." }}
+{{- else if and $server.authorities (not (regexMatch "^\\s*-----BEGIN CERTIFICATE-----\\s" $server.authorities)) }}
+{{ print "argocd.server.authorities: must be PEM that begins with -----BEGIN CERTIFICATE-----; several certificates stand one after the other." }}
+{{- end }}
+{{- if and $server.authorities (not (hasPrefix "https://" $server.url)) }}
+{{ printf "argocd.server.authorities is given, but argocd.server.url is %s, where nobody would ask for a certificate. Begin it with https://, or leave one of them out." $server.url }}
+{{- end }}
+{{- end }}
+
 {{- /* Installed, and copied into the deployment repository to be read there. */ -}}
 {{- define "robotkube.appProject" -}}
 apiVersion: argoproj.io/v1alpha1

@@ -59,6 +59,9 @@
 {{- range $line := splitList "\n" (include "robotkube.tlsRefusals" .) }}
 {{- if trim $line }}{{ $problems = append $problems (trim $line) }}{{ end }}
 {{- end }}
+{{- range $line := splitList "\n" (include "robotkube.argocdRefusals" .) }}
+{{- if trim $line }}{{ $problems = append $problems (trim $line) }}{{ end }}
+{{- end }}
 {{- range $line := splitList "\n" (include "robotkube.consoleRefusals" .) }}
 {{- if trim $line }}{{ $problems = append $problems (trim $line) }}{{ end }}
 {{- end }}

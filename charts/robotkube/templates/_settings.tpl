@@ -16,8 +16,12 @@ forge:
   branch: main
 oci_registry:
   charts: {{ include "robotkube.charts" . }}
+{{- $server := include "robotkube.argocdServer" . | fromJson }}
 argocd:
-  url: http://{{ include "robotkube.host" (dict "root" . "name" "argocd-server" "namespace" .Values.argocd.namespace) }}
+  url: {{ $server.url }}
+  {{- if $server.authorities }}
+  authorities: /etc/robotkube/argocd/ca.crt
+  {{- end }}
   credentials: /var/run/secrets/robotkube/argocd
   namespace: {{ .Values.argocd.namespace }}
   project: robotkube-apps

@@ -43,6 +43,18 @@ REFUSALS: dict[str, tuple[dict[str, Any], str]] = {
         {"suites": {"enabled": False}, "networkPolicies": {"extraEgress": {"tested": ANYWHERE}}},
         "networkPolicies.extraEgress.tested: these values install no pods of this name. Take the rules out.",
     ),
+    "a key in the place of Argo CD's certificate": (
+        {"argocd": {"server": {"authorities": "-----BEGIN PRIVATE KEY-----\nMC4=\n-----END PRIVATE KEY-----\n"}}},
+        "argocd.server.authorities: holds a private key; it would stand in a ConfigMap. Give the certificate alone",
+    ),
+    "a file's name in the place of Argo CD's certificate": (
+        {"argocd": {"server": {"authorities": "argocd.crt"}}},
+        "argocd.server.authorities: must be PEM that begins with -----BEGIN CERTIFICATE-----",
+    ),
+    "a certificate of an Argo CD that is asked in clear text": (
+        {"argocd": {"server": {"url": "http://argocd.example", "authorities": "-----BEGIN CERTIFICATE-----\nMII=\n"}}},
+        "argocd.server.authorities is given, but argocd.server.url is http://argocd.example, where nobody would ask",
+    ),
     "a remover that nobody tells": (
         {"inspection": {"enabled": False}, "remover": {"enabled": True}},
         "remover.enabled is true, but inspection.enabled is false: nobody names what is to be removed. Set inspection.",

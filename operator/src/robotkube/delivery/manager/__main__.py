@@ -94,6 +94,7 @@ class ManagerConfiguration:
     log_level: str
     forge: ForgeSettings
     argocd_url: str
+    argocd_authorities: Path | None
     argocd_account: files.Credentials
     argocd_namespace: str
     argocd_project: str
@@ -117,7 +118,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
     keys += ["agents", "lease", "scope", "operators", "node_lost_seconds"]
     root = reader.mapping(document, "", keys, ["broker", "traces", "gate", "managers", "authorities"])
     oci_registry = reader.mapping(root.get("oci_registry") or {}, "oci_registry", ["charts"])
-    argocd = reader.mapping(root.get("argocd") or {}, "argocd", ["url", "credentials", "namespace", "project"])
+    argocd = reader.mapping(root.get("argocd") or {}, "argocd", ["url", "credentials", "namespace", "project"], ["authorities"])
     hook = reader.mapping(root.get("hook") or {}, "hook", ["url", "secret"])
     lease = reader.mapping(root.get("lease") or {}, "lease", ["namespace", "name"], ["server_name"])
     webhook = reader.mapping(root.get("webhook") or {}, "webhook", ["secret"])
@@ -135,6 +136,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
         log_level=files.log_level(reader, root.get("log_level")),
         forge=read_forge(reader, root.get("forge")),
         argocd_url=reader.word(argocd.get("url"), "argocd.url", HTTP_URL),
+        argocd_authorities=read_authorities(reader, argocd, "argocd"),
         argocd_account=files.credentials(reader, argocd.get("credentials"), "argocd.credentials"),
         argocd_namespace=reader.word(argocd.get("namespace"), "argocd.namespace", WORD),
         argocd_project=reader.word(argocd.get("project"), "argocd.project", WORD),
@@ -215,7 +217,10 @@ def build_manager(
     signed = configuration.hook_secret.encode()
     hook = SignedPushHook(configuration.hook_url, signed, deployment_url, branch=access.branch)
     argocd_account = (configuration.argocd_account.username, configuration.argocd_account.password)
-    argocd = ArgoCDServer(configuration.argocd_url, *argocd_account, hook, configuration.argocd_project)
+    argocd = ArgoCDServer(
+        *(configuration.argocd_url, *argocd_account, hook, configuration.argocd_project),
+        configuration.argocd_authorities,
+    )
     render = Jinja2Templates().render
     images = _images(configuration, renderer) if renderer else None
     ahead = schemas.ahead()

@@ -104,11 +104,16 @@ def trusted() -> tuple[Path, ...]:
 
 def what_failed(error: BaseException, url: str) -> str:
     """What an attempt to reach `url` met, in words: of a refused certificate what to do, else the error's own."""
-    for cause in _causes(error):
-        if isinstance(cause, ssl.SSLError):
-            name = urlsplit(url).hostname or url
-            return sentence(cause, ServerVerification(next(iter(_trusted), USUAL), name))
+    refused = refused_handshake(error)
+    if refused is not None:
+        name = urlsplit(url).hostname or url
+        return sentence(refused, ServerVerification(next(iter(_trusted), USUAL), name))
     return str(error) or type(error).__name__
+
+
+def refused_handshake(error: BaseException) -> ssl.SSLError | None:
+    """What OpenSSL said of a handshake that failed, if that is what an attempt to connect met."""
+    return next((cause for cause in _causes(error) if isinstance(cause, ssl.SSLError)), None)
 
 
 def refusal_of(url: str) -> str:
