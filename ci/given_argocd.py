@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from ci.errors import SetUpError
+from robotkube.delivery.preflight.core.argocd import SERVER, ServerSpeech
 
 NAMESPACE, PLATFORM = "argocd", "robotkube"
 KEPT = "argocd-before"
@@ -24,6 +25,7 @@ NAMED_MAX = 3
 # Deployments that the Job restarts, and the annotations of their pods that say for what.
 RESTARTED = ("argocd-server", "argocd-applicationset-controller", "argocd-repo-server")
 RESTARTED_FOR = ("robotkube.io/hook-secret", "robotkube.io/trusted-servers")
+SHOWN = (("argocd-server-tls", ("ca.crt", "tls.crt")), (SECRET, ("tls.crt",)))  # its certificate: the first there is
 Kubectl = Callable[..., str]
 Object = Mapping[str, Any]
 
@@ -57,6 +59,28 @@ def give_back(kubectl: Kubectl) -> tuple[str, ...]:
     for name, patch in changes:
         kubectl("-n", NAMESPACE, "patch", name, "--type=merge", "-p", json.dumps(patch))
     return tuple(f"{name} of Argo CD in namespace {NAMESPACE} is as before" for name, _ in changes)
+
+
+def server_values(kubectl: Kubectl, spoken: ServerSpeech | None) -> dict[str, Any]:
+    """What the platform's chart is told of argocd-server (`argocd.server`), so that managers reach it as it answers;
+    nothing where the chart's own assumption holds, or nobody can say."""
+    if spoken is None or spoken.encrypted is not True:
+        scheme, authorities = "http", ""
+    else:
+        scheme, authorities = "https", _shown(kubectl)
+    known = {"authorities": authorities} if authorities else {}
+    root = spoken.root if spoken and isinstance(spoken.root, str) else ""
+    return {**known, "url": f"{scheme}://{SERVER}.{NAMESPACE}.svc/{root}"} if root else known
+
+
+def _shown(kubectl: Kubectl) -> str:
+    """PEM of what argocd-server shows, and of who signed it where that stands beside it; empty where there is none."""
+    for name, keys in SHOWN:
+        data = _one(kubectl, f"secret/{name}").get("data") or {}
+        if data.get("tls.crt"):
+            texts = (base64.b64decode(data[key]).decode().strip() for key in keys if data.get(key))
+            return "".join(f"{text}\n" for text in dict.fromkeys(texts))
+    return ""
 
 
 def patches(before: Object, now: Object) -> dict[str, Object]:

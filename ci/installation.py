@@ -27,8 +27,7 @@ from ci.folders import PROJECT
 from ci.images.services import SERVICE_NAMES
 from gitops.argocd import render
 from robotkube.cli.live.component_lines import InstallationWatch
-from robotkube.delivery.preflight.core.argocd import DEFINITIONS, ArgoCd
-from robotkube.delivery.preflight.core.argocd import argocd as judge_argocd
+from robotkube.delivery.preflight.core.argocd import DEFINITIONS, PARAMETERS, ArgoCd, argocd_installed, speech
 from robotkube.delivery.preflight.core.values import merged
 from robotkube.errors import InputError
 from robotkube.foundation.kubernetes.adapters.client import api_client
@@ -103,15 +102,30 @@ class Installer:
     def argocd_of_others(self) -> str:
         """Keep what the platform will write into an Argo CD that was there, and say which it is; SetUpError names what
         it lacks to be used."""
-        kinds = ("deployments,statefulsets", "-l", "app.kubernetes.io/part-of=argocd")
-        workloads = json.loads(self.kubectl("-n", ARGOCD, "get", *kinds, "-o", "json"))["items"]
-        verdict = judge_argocd(ArgoCd(ARGOCD, self._definitions_of_argocd(), workloads))
+        verdict = argocd_installed(self._present_argocd())
         wrong = [*(f"{one.what}: {one.fix}" for one in verdict.problems), *filter(None, [verdict.unseen])]
         if wrong:
             raise SetUpError(f"namespace {ARGOCD} was not made here, and its Argo CD is not used: {'; '.join(wrong)}")
         self.namespace(NAMESPACE, RESTRICTED)
         given_argocd.keep(self.kubectl)
         return f"{verdict.says}, which was there"
+
+    def _present_argocd(self) -> ArgoCd:
+        """What is there of Argo CD; ports of its Service are not looked at."""
+        kinds = ("deployments,statefulsets", "-l", "app.kubernetes.io/part-of=argocd")
+        workloads = json.loads(self.kubectl("-n", ARGOCD, "get", *kinds, "-o", "json"))["items"]
+        told = self.kubectl("-n", ARGOCD, "get", f"configmap/{PARAMETERS}", "--ignore-not-found", "-o", "json")
+        parameters = json.loads(told or "{}").get("data") or {}
+        return ArgoCd(ARGOCD, self._definitions_of_argocd(), workloads, parameters, frozenset())
+
+    def _of_given_argocd(self) -> dict[str, Any]:
+        """Values by which managers reach the server of an Argo CD that was there, unless the profile has some."""
+        if not self.profile.added or "server" in (stated_values(self.profile).get("argocd") or {}):
+            return {}
+        if not self._argocd_is_given():
+            return {}
+        server = given_argocd.server_values(self.kubectl, speech(self._present_argocd()))
+        return {"argocd": {"server": server}} if server else {}
 
     def _argocd_is_given(self) -> bool:
         """Return whether there is one that was not made here."""
@@ -167,7 +181,7 @@ class Installer:
         self.work.mkdir(parents=True, exist_ok=True)
         self.namespace(NAMESPACE, RESTRICTED)
         given = {
-            **merged(platform_values(references, topology), self.profile.values),
+            **merged(merged(platform_values(references, topology), self._of_given_argocd()), self.profile.values),
             "evidence": self.signing_key(),
             **values,
         }

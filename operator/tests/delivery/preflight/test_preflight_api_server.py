@@ -43,6 +43,11 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
             status_of(client, "/api/v1/nodes", node(name, role))
         for workload in argo_cd().workloads:
             status_of(client, "/apis/apps/v1/namespaces/argocd/deployments", deployment(workload))
+        parameters = {"metadata": {"name": "argocd-cmd-params-cm"}, "data": {"server.insecure": "true"}}
+        client.post("/api/v1/namespaces/argocd/configmaps", json=parameters).raise_for_status()
+        ports = [{"name": name, "port": port} for name, port in (("http", 80), ("https", 443))]
+        service = {"metadata": {"name": "argocd-server"}, "spec": {"ports": ports}}
+        client.post("/api/v1/namespaces/argocd/services", json=service).raise_for_status()
         yield made
 
 
@@ -110,6 +115,26 @@ def test_an_administrator_sees_what_is_there(run: Run) -> None:
     assert set(unknown) == {"control-groups", "registries"}, unknown
     assert "version of cloud-0, vehicle-00, vehicle-01 not read" in unknown["control-groups"], "there is no kubelet"
     assert "the platform's own, which the chart makes" in unknown["registries"]
+
+
+def test_an_argo_cd_that_redirects_is_named_and_its_certificate_mends_it(
+    cluster: Cluster, run: Run, tmp_path: Path
+) -> None:
+    path, kind = "/api/v1/namespaces/argocd/configmaps/argocd-cmd-params-cm", "application/merge-patch+json"
+    values = tmp_path / "values.yaml"
+    given = {"argocd": {"server": {"authorities": "-----BEGIN CERTIFICATE-----\nMII=\n-----END CERTIFICATE-----\n"}}}
+    with cluster.client() as client:
+        for insecure in (None, "true"):  # as its own manifests have it; and back
+            patch = json.dumps({"data": {"server.insecure": insecure}})
+            client.patch(path, content=patch, headers={"Content-Type": kind}).raise_for_status()
+            if insecure:
+                continue
+            _, checks = run()
+            assert checks["argocd"]["result"] == FAILED
+            assert checks["argocd"]["problems"][0]["what"].startswith("it redirects to HTTPS, and managers ask http://")
+            values.write_text(yaml.safe_dump(yaml.safe_load(values.read_text()) | given))
+            _, checks = run()
+            assert (checks["argocd"]["result"], checks["values"]["result"]) == (OK, OK), checks["argocd"]
 
 
 def test_the_resources_of_kinds_are_those_that_are_served(cluster: Cluster) -> None:

@@ -65,12 +65,17 @@ def node(name: str, role: str = "vehicle", **spec: Any) -> Object:
 def argo_cd(**replaced: Any) -> ArgoCd:
     """Argo CD as its own manifests install it; `replaced` are whole workloads by their part, None for none."""
     workloads = {part: part_of_argo_cd(part) for part in PARTS} | replaced
-    return ArgoCd("argocd", frozenset(DEFINITIONS), [one for one in workloads.values() if one])
+    present = [one for one in workloads.values() if one]
+    return ArgoCd("argocd", frozenset(DEFINITIONS), present, {"server.insecure": "true"}, frozenset({80, 443}))
 
 
 def part_of_argo_cd(part: str, image: str = "quay.io/argoproj/argocd:v3.5.7", ready: int = 1) -> Object:
     metadata = {"name": f"argocd-{part}", "labels": {"app.kubernetes.io/component": part}}
-    spec = {"template": {"spec": {"containers": [{"name": part, "image": image}]}}}
+    keys = ({"ARGOCD_SERVER_INSECURE": "server.insecure", "ARGOCD_SERVER_ROOTPATH": "server.rootpath"}
+            if part == "server" else {})  # fmt: skip
+    of_map = {"name": "argocd-cmd-params-cm", "optional": True}
+    env = [{"name": name, "valueFrom": {"configMapKeyRef": {**of_map, "key": key}}} for name, key in keys.items()]
+    spec = {"template": {"spec": {"containers": [{"name": part, "image": image, "env": env}]}}}
     return {"metadata": metadata, "spec": spec, "status": {"readyReplicas": ready}}
 
 

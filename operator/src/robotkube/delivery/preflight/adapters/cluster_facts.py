@@ -15,7 +15,7 @@ from typing import Any
 from robotkube.delivery.preflight.adapters.calls_at_once import at_once
 from robotkube.delivery.preflight.adapters.helm_releases import last_revision, selector
 from robotkube.delivery.preflight.core import admission
-from robotkube.delivery.preflight.core.argocd import DEFINITIONS, ArgoCd
+from robotkube.delivery.preflight.core.argocd import DEFINITIONS, PARAMETERS, SERVER, ArgoCd
 from robotkube.delivery.preflight.core.findings import Unread
 from robotkube.delivery.preflight.core.releases import HelmRevision, PresentObjects
 from robotkube.delivery.preflight.core.renderings import Object, labels_of, name_of, plural
@@ -99,7 +99,25 @@ class ClusterFacts:
         lists = at_once([functools.partial(self._items, path, chosen) for path in paths])
         standing = at_once([functools.partial(self._one, f"{DEFINITIONS_PATH}/{name}") for name in DEFINITIONS])
         there = (name for name, item in zip(DEFINITIONS, standing, strict=True) if item is not None)
-        return ArgoCd(namespace, frozenset(there), [item for listed in lists for item in listed])
+        workloads = [item for listed in lists for item in listed]
+        told = at_once([functools.partial(read, namespace) for read in (self._parameters, self._ports)])
+        return ArgoCd(namespace, frozenset(there), workloads, *told)
+
+    def _parameters(self, namespace: str) -> Mapping[str, str] | Unread:
+        """What Argo CD's ConfigMap of parameters has; nothing where there is none, as its programs take it."""
+        try:
+            present = self._one(f"/api/v1/namespaces/{namespace}/configmaps/{PARAMETERS}")
+        except RobotKubeError as error:
+            return Unread(str(error))
+        return (present or {}).get("data") or {}
+
+    def _ports(self, namespace: str) -> frozenset[int] | Unread | None:
+        """The ports of the Service argocd-server; None where there is none."""
+        try:
+            present = self.service(namespace, SERVER)
+        except RobotKubeError as error:
+            return Unread(str(error))
+        return present and frozenset(one["port"] for one in present["spec"].get("ports") or ())
 
     def release(self, name: str, namespace: str) -> HelmRevision | None:
         """The last revision of a Helm release."""

@@ -65,7 +65,7 @@ CHECKS = (
     ClusterCheck("agents-ready", agents_ready, ("settings", "nodes")),
     ClusterCheck("capacity", capacity, ("rendering", "nodes", "pods")),
     ClusterCheck("control-groups", control_groups, ("control_groups", "nodes")),
-    ClusterCheck("argocd", argocd, ("argocd",)),
+    ClusterCheck("argocd", argocd, ("argocd", "settings")),
     ClusterCheck("registries", registries, ("registries",)),
 )
 
