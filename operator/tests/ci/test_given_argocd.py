@@ -69,7 +69,10 @@ OWN = {"tls.crt": "own\n", "tls.key": "secret", "server.secretkey": "secret"}
     [
         ({"argocd_secret": OWN}, "own\n"),
         ({"argocd_secret": OWN, "argocd_server_tls": {"tls.crt": "given", "tls.key": "secret"}}, "given\n"),
-        ({"argocd_secret": OWN, "argocd_server_tls": {"tls.crt": "leaf\n", "ca.crt": "authority"}}, "authority\nleaf\n"),
+        (
+            {"argocd_secret": OWN, "argocd_server_tls": {"tls.crt": "leaf\n", "ca.crt": "authority"}},
+            "authority\nleaf\n",
+        ),
         ({"argocd_secret": OWN, "argocd_server_tls": {"tls.key": "secret"}}, "own\n"),
     ],
 )

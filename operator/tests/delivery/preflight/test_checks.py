@@ -547,7 +547,9 @@ class TestArgoCdServer:
         server = part_of_argo_cd("server")
         server["metadata"]["name"] = "argo-cd-argocd-server"
         words = said(finding("argocd", argocd=argo_cd(server=server)))
-        assert "server has the name argo-cd-argocd-server -> install it from its own manifests, or with Helm as" in words
+        assert (
+            "server has the name argo-cd-argocd-server -> install it from its own manifests, or with Helm as" in words
+        )
 
 
 class TestRegistries:

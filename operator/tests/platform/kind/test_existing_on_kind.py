@@ -24,6 +24,7 @@ from tests.stages.platform.running_platform import SCENARIO, VARIANT, spoken
 pytestmark = pytest.mark.thorough
 
 REPORT = PROJECT / "build" / "reports" / SCENARIO.name / "report.json"
+SETTINGS = "jsonpath={.data.config\\.yaml}"
 # kubeadm has each kubelet sign its certificate itself: the owner of such a cluster says so
 VALUES = {"inspection": {"verifyKubelets": False}}
 
@@ -60,6 +61,9 @@ def test_the_use_case_runs_there_and_leaves_it_as_it_was(
     assert {row["name"] for row in report["expectations"]} >= set(definition.load(SCENARIO, [], VARIANT).expectations)
     assert any(f"trial mode: agents share Nodes (Node {WORKERS[0]}" in text for text in report["warnings"])
     lent_cluster.require_digests(cluster, bundled, OF_ITS_OWN)
+    settings = yaml.safe_load(cluster.ask("-n", "robotkube", "get", "configmap", "manager", "-o", SETTINGS))
+    assert settings["argocd"]["url"] == "https://argocd-server.argocd.svc.cluster.local"
+    assert "refresh redirected" not in cluster.ask("-n", "robotkube", "logs", "deployment/manager")
     removed = cluster.down()
     assert all(f"Node {name}" in removed for name in WORKERS)
     assert "appproject/default of Argo CD in namespace argocd is as before" in removed

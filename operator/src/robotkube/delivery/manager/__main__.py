@@ -118,7 +118,9 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ManagerCo
     keys += ["agents", "lease", "scope", "operators", "node_lost_seconds"]
     root = reader.mapping(document, "", keys, ["broker", "traces", "gate", "managers", "authorities"])
     oci_registry = reader.mapping(root.get("oci_registry") or {}, "oci_registry", ["charts"])
-    argocd = reader.mapping(root.get("argocd") or {}, "argocd", ["url", "credentials", "namespace", "project"], ["authorities"])
+    argocd = reader.mapping(
+        root.get("argocd") or {}, "argocd", ["url", "credentials", "namespace", "project"], ["authorities"]
+    )
     hook = reader.mapping(root.get("hook") or {}, "hook", ["url", "secret"])
     lease = reader.mapping(root.get("lease") or {}, "lease", ["namespace", "name"], ["server_name"])
     webhook = reader.mapping(root.get("webhook") or {}, "webhook", ["secret"])

@@ -8,7 +8,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Any
-from urllib.parse import urlsplit
 
 from robotkube.delivery.preflight.core.findings import CheckVerdict, Problem, Unread
 from robotkube.delivery.preflight.core.renderings import Object, labels_of, name_of
@@ -25,6 +24,7 @@ SERVER = "argocd-server"
 PARAMETERS = "argocd-cmd-params-cm"  # its ConfigMap; a Deployment refers to keys of it
 TRUE = frozenset(["1", "t", "T", "true", "True", "TRUE"])  # what its programs take for that
 PORTS = {"http": 80, "https": 443}
+ADDRESS = re.compile(r"((https?)://([^/:]+)(?::([0-9]+))?)/?(.*)")  # as the chart's schema takes it
 LOST = (
     "requests of managers to look again are not received: where a hook of Git is lost, or a comparison failed, a "
     "release waits until Argo CD polls"
@@ -165,21 +165,21 @@ def _reached(present: ArgoCd, settings: Mapping[str, Any]) -> CheckVerdict:
     if spoken is None:
         return CheckVerdict("")
     url = server_of(present, settings)
-    address = urlsplit(url)
+    address = ADDRESS.fullmatch(url)
     domain = settings.get("clusterDomain") or "cluster.local"
     service = f"{SERVER}.{present.namespace}"
-    if address.hostname not in (service, f"{service}.svc", f"{service}.svc.{domain}"):
+    if address is None or address[3] not in (service, f"{service}.svc", f"{service}.svc.{domain}"):
         return CheckVerdict("", unseen=f"whether managers reach {url} (argocd.server.url) is not tried from here")
-    problems = [*_ports(present, address.scheme, address.port), *_scheme(present, spoken, url)]
+    problems = [*_ports(present, int(address[4] or PORTS[address[2]])), *_scheme(present, spoken, url)]
     unseen = [fact.why for fact in (present.ports, spoken.encrypted, spoken.root) if isinstance(fact, Unread)]
-    if isinstance(spoken.root, str) and spoken.root != address.path.strip("/"):
-        problems.append(_elsewhere(present, spoken.root, url))
+    if isinstance(spoken.root, str) and spoken.root != address[5].strip("/"):
+        problems.append(_elsewhere(present, f"{address[1]}/{spoken.root}".rstrip("/"), url))
     words = f"how {SERVER} answers is not known: {'; '.join(dict.fromkeys(unseen))}" if unseen else ""
-    return CheckVerdict("" if problems or unseen else f"asked by {address.scheme.upper()}", problems, words)
+    return CheckVerdict("" if problems or unseen else f"asked by {address[2].upper()}", problems, words)
 
 
-def _ports(present: ArgoCd, scheme: str, port: int | None) -> Iterator[Problem]:
-    where, wanted = f"Service {present.namespace}/{SERVER}", port or PORTS[scheme]
+def _ports(present: ArgoCd, wanted: int) -> Iterator[Problem]:
+    where = f"Service {present.namespace}/{SERVER}"
     fix = f"install Argo CD's own Service {SERVER}, or name the address that answers in argocd.server.url"
     if present.ports is None:
         yield Problem(f"there is no Service {SERVER}", where, LOST, fix)
@@ -193,9 +193,10 @@ def _scheme(present: ArgoCd, spoken: ServerSpeech, url: str) -> Iterator[Problem
         return
     if spoken.encrypted:
         what = f"it redirects to HTTPS, and managers ask {url}"
+        shown = CERTIFICATE.format(namespace=present.namespace)
         fix = (
-            f"argocd.server.authorities: the certificate that it shows ({CERTIFICATE.format(namespace=present.namespace)}"
-            f'); or server.insecure: "true" in ConfigMap {PARAMETERS}, and kubectl rollout restart'
+            f"argocd.server.authorities: the certificate that it shows ({shown}); or "
+            f'server.insecure: "true" in ConfigMap {PARAMETERS}, and kubectl rollout restart'
         )
     else:
         what = f"it speaks no TLS (server.insecure), and managers ask {url}"
@@ -203,9 +204,7 @@ def _scheme(present: ArgoCd, spoken: ServerSpeech, url: str) -> Iterator[Problem
     yield Problem(what, where, LOST, fix)
 
 
-def _elsewhere(present: ArgoCd, root: str, url: str) -> Problem:
-    address = urlsplit(url)
-    there = f"{address.scheme}://{address.netloc}{f'/{root}' if root else ''}"
+def _elsewhere(present: ArgoCd, there: str, url: str) -> Problem:
     return Problem(
         f"its API is below {there} (server.rootpath), and managers ask {url}",
         f"Deployment {present.namespace}/{SERVER}",
