@@ -86,7 +86,7 @@ lock:           ## write the lock files anew from operator/pyproject.toml
 	@$(PYTHON) -m ci.lock
 
 golden:         ## write the charts' golden renderings anew
-	@ROBOTKUBE_GOLDEN=write $(PYTHON) -m pytest -c operator/pyproject.toml -p no:cacheprovider operator/tests/charts/test_rendering.py operator/tests/charts/test_managers.py operator/tests/charts/test_tls.py operator/tests/charts/test_processes_tls.py operator/tests/charts/test_k3s.py
+	@ROBOTKUBE_GOLDEN=write $(PYTHON) -m pytest -c operator/pyproject.toml -p no:cacheprovider operator/tests/charts/test_rendering.py operator/tests/charts/test_managers.py operator/tests/charts/test_tls.py operator/tests/charts/test_processes_tls.py operator/tests/charts/test_k3s.py operator/tests/charts/test_argocd_server.py
 
 reference:      ## write the generated pages of docs/reference anew
 	@$(PYTHON) -m ci.reference

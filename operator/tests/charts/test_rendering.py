@@ -24,7 +24,6 @@ FOLDER = Path(__file__).parent / "profiles"
 PLATFORM_CPU_MAX = 1.2
 PLATFORM = CHARTS / "robotkube"
 PROFILE = Path(__file__).parent / "profiles" / "official.yaml"
-CERTIFICATE_TEXT = "-----BEGIN CERTIFICATE-----\nMIIDJDCCAgygAwIBAgIR\n-----END CERTIFICATE-----\n"
 OPTIONAL, AGENTS = {"Deployment/remover", "Deployment/console"}, ("vehicle-00", "vehicle-01", "cloud-0")
 WRITE_VERBS = {"create", "update", "patch", "delete", "deletecollection", "*", "bind", "escalate", "impersonate"}
 
@@ -48,42 +47,6 @@ def test_signing_in_by_the_forge_renders_as_committed(
     known = set(official.text.split("---\n"))
     shown = helm.template(PLATFORM, PROFILE, FOLDER / "forge-sign-in.yaml").text.split("---\n")
     golden("forge-sign-in", "---\n".join(["", *(part for part in shown if part not in known)]))
-
-
-def test_an_argo_cd_that_speaks_https_renders_as_committed(
-    helm: Any, official: Any, golden: Callable[[str, str], None]
-) -> None:
-    """What differs from the platform whose Argo CD answers in clear text."""
-    known = set(official.text.split("---\n"))
-    shown = helm.template(PLATFORM, PROFILE, FOLDER / "argocd-server.yaml").text.split("---\n")
-    golden("argocd-server", "---\n".join(["", *(part for part in shown if part not in known)]))
-
-
-@pytest.mark.parametrize(
-    ("given", "url"),
-    [
-        ({}, "http://argocd-server.argocd.svc.cluster.local"),
-        ({"authorities": CERTIFICATE_TEXT}, "https://argocd-server.argocd.svc.cluster.local"),
-        ({"url": "https://argocd.example.com/cd"}, "https://argocd.example.com/cd"),
-        ({"url": "https://cd.example.com:8443", "authorities": CERTIFICATE_TEXT}, "https://cd.example.com:8443"),
-    ],
-)
-def test_managers_reach_argocd_server_as_the_values_say(helm: Any, given: Object, url: str) -> None:
-    """Its certificate is mounted where the settings name it, as a folder, so that another one arrives by itself."""
-    rendered = helm.template(PLATFORM, PROFILE, argocd={"server": given})
-    data = rendered.one("ConfigMap", "manager")["data"]
-    settings = yaml.safe_load(data["config.yaml"])["argocd"]
-    assert settings["url"] == url
-    pod = pod_of(rendered, "manager")
-    mounts = [one for one in pod["containers"][0]["volumeMounts"] if one["name"] == "argocd"]
-    if "authorities" not in given:
-        assert ("authorities" in settings, "argocd.crt" in data, mounts) == (False, False, [])
-        return
-    [volume] = [one for one in pod["volumes"] if one["name"] == "argocd"]
-    [item] = volume["configMap"]["items"]
-    assert (volume["configMap"]["name"], data[item["key"]]) == ("manager", CERTIFICATE_TEXT)
-    assert [f"{one['mountPath']}/{item['path']}" for one in mounts] == [settings["authorities"]]
-    assert "subPath" not in mounts[0]
 
 
 @pytest.mark.parametrize("chart", APP_CHARTS)

@@ -34,6 +34,7 @@ from tests.stages.delivery.preflight_facts import (
     node,
     part_of_argo_cd,
     rendering,
+    said,
 )
 
 RULE = {"operations": ["CREATE"], "apiGroups": [""], "resources": ["pods"]}
@@ -47,13 +48,6 @@ VERSIONS_OF_KUBELETS = [
     ("", FAILED),
 ]
 DISKS = {"metadata": {"name": "disks"}, "provisioner": "example.com/disks"}
-
-
-def said(found: ClusterFinding) -> str:
-    """Everything that a failed check says of its problems."""
-    assert found.result == FAILED, found
-    assert all(one.what and one.where and one.why and one.fix for one in found.problems), found
-    return "\n".join(f"{one.where}: {one.what} -> {one.fix}" for one in found.problems)
 
 
 def changed(made: RenderedChart, kind: str, name: str) -> dict[str, Any]:
@@ -440,116 +434,6 @@ class TestArgoCd:
         judged = finding("argocd", argocd=present)
         assert judged.result == result
         assert ("version 3.5 (label app.kubernetes.io/version) in namespace argocd" in judged.says) == (result == OK)
-
-
-CERTIFICATE = {"argocd": {"server": {"authorities": "-----BEGIN CERTIFICATE-----"}}}
-
-
-class TestArgoCdServer:
-    """Whether managers reach argocd-server as it answers."""
-
-    def judged(
-        self, parameters: Any = None, ports: Any = frozenset({80, 443}), values: Any = None, **server: Any
-    ) -> ClusterFinding:
-        """The finding; `server` is what its container has besides."""
-        present = argo_cd()
-        for workload in present.workloads:
-            if workload["metadata"]["name"] == "argocd-server":
-                workload["spec"]["template"]["spec"]["containers"][0].update(server)
-        changed = replace(present, parameters={} if parameters is None else parameters, ports=ports)
-        return finding("argocd", argocd=changed, settings=facts()["settings"] | (values or {}))
-
-    def test_one_by_its_own_manifests_redirects_who_asks_in_clear_text(self) -> None:
-        """Its ConfigMap has no data at all."""
-        judged = self.judged()
-        assert judged.result == FAILED
-        [problem] = judged.problems
-        url = "http://argocd-server.argocd.svc.cluster.local"
-        assert problem.what == f"it redirects to HTTPS, and managers ask {url}"
-        assert problem.where == "Deployment argocd/argocd-server"
-        assert "release waits until Argo CD polls" in problem.why
-        assert problem.fix.startswith("argocd.server.authorities: the certificate that it shows (kubectl --namespace")
-        assert "{.data.tls\\.crt}" in problem.fix
-
-    def test_it_is_asked_by_https_where_its_certificate_is_given(self) -> None:
-        judged = self.judged(values=CERTIFICATE)
-        assert (judged.result, judged.says) == (OK, "version 3.5 in namespace argocd, asked by HTTPS")
-
-    @pytest.mark.parametrize(
-        "server",
-        [
-            {"args": ["--insecure"]},
-            {"args": ["--insecure=true"]},
-            {"command": ["argocd-server", "--insecure"], "args": ["--loglevel", "info"]},
-            {"env": [{"name": "ARGOCD_SERVER_INSECURE", "value": "true"}]},
-        ],
-    )
-    def test_one_that_is_told_otherwise_to_speak_clear_text(self, server: Any) -> None:
-        judged = self.judged(**server)
-        assert (judged.result, judged.says) == (OK, "version 3.5 in namespace argocd, asked by HTTP")
-        assert "it speaks no TLS (server.insecure), and managers ask https://" in said(
-            self.judged(values=CERTIFICATE, **server)
-        )
-
-    def test_a_flag_stands_above_the_parameters(self) -> None:
-        judged = self.judged({"server.insecure": "true"}, args=["--insecure=false"])
-        assert "it redirects to HTTPS" in said(judged)
-
-    def test_a_root_path_belongs_to_the_address(self) -> None:
-        parameters = {"server.insecure": "true", "server.rootpath": "/cd/"}
-        host = "argocd-server.argocd.svc.cluster.local"
-        assert f"its API is below http://{host}/cd (server.rootpath), and managers ask http://{host} -> " in said(
-            self.judged(parameters)
-        )
-        assert f"-> argocd.server.url: http://{host}/cd" in said(self.judged(parameters))
-        given = {"argocd": {"server": {"url": f"http://{host}/cd"}}}
-        assert self.judged(parameters, values=given).result == OK
-        assert "its API is below" in said(self.judged({}, values=CERTIFICATE, args=["--rootpath", "cd"]))
-
-    def test_a_service_that_is_not_there_or_has_other_ports(self) -> None:
-        insecure = {"server.insecure": "true"}
-        assert "there is no Service argocd-server -> install Argo CD's own Service" in said(self.judged(insecure, None))
-        assert "it has no port 80, at which managers ask" in said(self.judged(insecure, frozenset({443})))
-        given = {"argocd": {"server": {"url": "https://argocd-server.argocd.svc:8443"}}}
-        assert "it has no port 8443" in said(self.judged({}, values=given))
-
-    @pytest.mark.parametrize(
-        ("changes", "words"),
-        [
-            ({"parameters": Unread("configmaps is forbidden")}, "configmaps is forbidden"),
-            ({"ports": Unread("services is forbidden"), "values": CERTIFICATE}, "services is forbidden"),
-            ({"envFrom": [{"configMapRef": {"name": "mine"}}], "env": []}, "may come by envFrom"),
-            (
-                {
-                    "env": [
-                        {
-                            "name": "ARGOCD_SERVER_INSECURE",
-                            "valueFrom": {"configMapKeyRef": {"name": "mine", "key": "x"}},
-                        }
-                    ]
-                },
-                "does not come from ConfigMap argocd-cmd-params-cm",
-            ),
-        ],
-    )
-    def test_what_cannot_be_looked_at_is_said(self, changes: Any, words: str) -> None:
-        judged = self.judged(**changes)
-        assert judged.result == NOT_CHECKED
-        assert "how argocd-server answers is not known: " in judged.says
-        assert words in judged.says
-
-    def test_an_address_elsewhere_is_not_tried_from_here(self) -> None:
-        judged = self.judged(values={"argocd": {"server": {"url": "https://argocd.example.com"}}})
-        assert judged.result == NOT_CHECKED
-        assert "whether managers reach https://argocd.example.com (argocd.server.url) is not tried" in judged.says
-
-    def test_names_of_another_release_are_not_known_to_the_platform(self) -> None:
-        server = part_of_argo_cd("server")
-        server["metadata"]["name"] = "argo-cd-argocd-server"
-        words = said(finding("argocd", argocd=argo_cd(server=server)))
-        assert (
-            "server has the name argo-cd-argocd-server -> install it from its own manifests, or with Helm as" in words
-        )
 
 
 class TestRegistries:

@@ -13,7 +13,7 @@ import yaml
 from robotkube.delivery.preflight.core.admission import KINDS
 from robotkube.delivery.preflight.core.argocd import DEFINITIONS, PARTS, ArgoCd
 from robotkube.delivery.preflight.core.checks import CHECKS
-from robotkube.delivery.preflight.core.findings import ClusterFinding
+from robotkube.delivery.preflight.core.findings import FAILED, ClusterFinding
 from robotkube.delivery.preflight.core.owners import owned_objects
 from robotkube.delivery.preflight.core.registries import RegistryAnswer, hosts
 from robotkube.delivery.preflight.core.releases import PresentObjects
@@ -119,3 +119,10 @@ def _served(made: RenderedChart) -> Iterator[tuple[str, frozenset[str]]]:
 def finding(check: str, **changed: Any) -> ClusterFinding:
     """What a check finds when these facts are changed."""
     return next(one for one in CHECKS if one.name == check).finding(facts(**changed))
+
+
+def said(found: ClusterFinding) -> str:
+    """Everything that a failed check says of its problems."""
+    assert found.result == FAILED, found
+    assert all(one.what and one.where and one.why and one.fix for one in found.problems), found
+    return "\n".join(f"{one.where}: {one.what} -> {one.fix}" for one in found.problems)
