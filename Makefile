@@ -23,7 +23,9 @@ REGISTRY_CA ?=
 AGENTS ?=
 VALUES ?=
 YES ?=
-CHOSEN = --cluster $(CLUSTER) $(addprefix --kubeconfig ,$(KUBECONFIG)) $(addprefix --context ,$(CONTEXT)) $(addprefix --registry ,$(REGISTRY)) $(addprefix --registry-ca ,$(REGISTRY_CA)) $(addprefix --agents ,$(AGENTS)) $(addprefix --values ,$(VALUES)) $(if $(YES),--yes)
+# an option with one word, which may have spaces and quotes in it, as names of contexts and files do; nothing where it is empty
+option = $(if $(strip $(2)),$(1) '$(subst ','\'',$(2))')
+CHOSEN = --cluster $(CLUSTER) $(call option,--kubeconfig,$(KUBECONFIG)) $(call option,--context,$(CONTEXT)) $(call option,--registry,$(REGISTRY)) $(call option,--registry-ca,$(REGISTRY_CA)) $(call option,--agents,$(AGENTS)) $(call option,--values,$(VALUES)) $(if $(YES),--yes)
 
 # a file for the image of kind's nodes, instead of the Docker or podman of this machine
 ARCHIVE ?=

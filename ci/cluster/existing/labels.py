@@ -81,22 +81,22 @@ def _owners(nodes: Sequence[GivenNode], file: AgentsFile) -> dict[str, list[Agen
         meant = [node.name for node in nodes if entry.means(node.name, node.labels)]
         if not meant:
             there = ", ".join(node.name for node in nodes) or "none"
-            raise InputError(f"agents.yaml: {entry}: there is no such Node; there is: {there}")
+            raise InputError(f"{file.name}: {entry}: there is no such Node; there is: {there}")
         for name in meant:
             others = owners.setdefault(name, [])
             if others and not file.trial:
                 raise InputError(
-                    f"agents.yaml: Node {name} is asked for by {others[0]} and by {entry}; a Node is one agent's, by "
+                    f"{file.name}: Node {name} is asked for by {others[0]} and by {entry}; a Node is one agent's, by "
                     "the one value of its label robotkube.io/agent: name another Node, or try several agents on one "
                     "with trial: true beside agents"
                 )
             others.append(entry)
-    _roles(file.entries)
-    _homes(owners)
+    _roles(file)
+    _homes(owners, file.name)
     return owners
 
 
-def _homes(owners: Mapping[str, Sequence[AgentEntry]]) -> None:
+def _homes(owners: Mapping[str, Sequence[AgentEntry]], file: str) -> None:
     """InputError for an agent that shares a Node and has another one, too, or that stands twice on one: its pods would
     have to be chosen by two labels."""
     nodes: dict[str, list[str]] = {}
@@ -107,16 +107,16 @@ def _homes(owners: Mapping[str, Sequence[AgentEntry]]) -> None:
         shared = [name for name in names if len(owners[name]) > 1]
         if shared and len(names) > 1:
             raise InputError(
-                f"agents.yaml: agent {agent} shares Node {shared[0]} and stands on {', '.join(names)}; who shares a "
+                f"{file}: agent {agent} shares Node {shared[0]} and stands on {', '.join(names)}; who shares a "
                 "Node has that one alone, by one entry: leave the others out"
             )
 
 
-def _roles(entries: Sequence[AgentEntry]) -> None:
+def _roles(file: AgentsFile) -> None:
     roles: dict[str, str] = {}
-    for entry in entries:
+    for entry in file.entries:
         if roles.setdefault(entry.agent, entry.role) != entry.role:
-            raise InputError(f"agents.yaml: {entry}: has role {entry.role}, another entry {roles[entry.agent]}; choose")
+            raise InputError(f"{file.name}: {entry}: has role {entry.role}, another entry {roles[entry.agent]}; choose")
 
 
 def _added(node: GivenNode, wanted: Mapping[str, str]) -> Change | None:

@@ -11,16 +11,20 @@ entries may mean one Node, which is then several agents' (decision 0082). Every 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ci import yaml_files
 from ci.cluster_contract.topology import LABEL, NodeSpec, Topology, agent_labels
 from ci.errors import InputError
+from robotkube.delivery.deployment.core.policies.agents import ROLES
 
 PLATFORM = "platform"  # a role whose agent may have any name
+NAME = re.compile(r"[a-z]([-a-z0-9]*[a-z0-9])?")  # a namespace and a ROS name, as the platform's chart takes it
+NAME_CHARACTERS_MAX = 22
 FILE_KEYS = {"agents", "trial"}
 KEYS = {"node", "selector", "role", "agent", "capabilities"}
 EXAMPLE = "agents: [{node: worker-1, role: vehicle, agent: vehicle-00, capabilities: [lidar]}]"
@@ -52,10 +56,11 @@ class AgentEntry:
 
 @dataclass(frozen=True)
 class AgentsFile:
-    """What a file says: `trial`: one Node may be several agents'."""
+    """What the file `name` says: `trial`: one Node may be several agents'."""
 
     entries: tuple[AgentEntry, ...]
     trial: bool = False
+    name: str = field(default="agents.yaml", compare=False)
 
 
 def read(path: Path) -> AgentsFile:
@@ -70,16 +75,17 @@ def read(path: Path) -> AgentsFile:
     trial = document.get("trial", False)
     if not isinstance(trial, bool):
         raise InputError(f"{path}: trial: {trial!r} must be true (several agents may share a Node) or false")
-    return AgentsFile(tuple(_entry(f"{path}: agents[{number}]", entry) for number, entry in enumerate(entries)), trial)
+    read_entries = tuple(_entry(f"{path}: agents[{number}]", entry) for number, entry in enumerate(entries))
+    return AgentsFile(read_entries, trial, str(path))
 
 
-def require_agents(entries: Sequence[AgentEntry], topology: Topology) -> None:
+def require_agents(file: AgentsFile, topology: Topology) -> None:
     """InputError names the agents of a scenario that have no entry of their role with what they are capable of."""
-    lacking = {node.agent: node for node in topology.nodes if not any(_is(entry, node) for entry in entries)}
+    lacking = {node.agent: node for node in topology.nodes if not any(_is(entry, node) for entry in file.entries)}
     if lacking:
         wanted = (f"{one.agent} (role {one.role}{_capable(one)})" for one in lacking.values())
         raise InputError(
-            f"agents.yaml: the scenario needs Nodes of {', '.join(wanted)}; add them, or take fewer: --set"
+            f"{file.name}: the scenario needs Nodes of {', '.join(wanted)}; add them, or take fewer: --set"
         )
 
 
@@ -112,7 +118,19 @@ def _entry(where: str, entry: Any) -> AgentEntry:
     if "node" in entry and (not isinstance(node, str) or not node):
         raise InputError(f"{where}.node: {node!r} must be the name of a Node")
     role, agent = (_label(f"{where}.{key}", entry.get(key)) for key in ("role", "agent"))
+    _require_known(where, role, agent)
     return AgentEntry(node, tuple(_selector(where, entry)), role, agent, tuple(_capabilities(where, entry)))
+
+
+def _require_known(where: str, role: str, agent: str) -> None:
+    """InputError for what the platform's chart would refuse, when the Nodes have their labels already."""
+    if role != PLATFORM and role not in ROLES:
+        raise InputError(f"{where}.role: {role!r} must be one of {', '.join((PLATFORM, *ROLES))}")
+    if role != PLATFORM and (not NAME.fullmatch(agent) or len(agent) > NAME_CHARACTERS_MAX):
+        raise InputError(
+            f"{where}.agent: {agent!r} becomes a namespace and a ROS name: it must begin with a letter and have at "
+            f"most {NAME_CHARACTERS_MAX} characters, such as vehicle-00"
+        )
 
 
 def _selector(where: str, entry: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

@@ -16,6 +16,7 @@ from ci.cluster.api_server import node_states
 from ci.cluster.existing.labels import Change, GivenNode
 from ci.cluster_contract.provider import NodeState
 from ci.errors import InputError, SetUpError
+from robotkube.foundation.kubernetes.adapters.client import NO_KUBECONFIG
 
 CONFLICT, NOT_FOUND = 409, 404
 ATTEMPTS_MAX = 5  # at a Node that somebody else writes to meanwhile
@@ -165,6 +166,9 @@ def _connected(given: GivenCluster) -> client.ApiClient:
     except config.ConfigException as error:
         named = given.kubeconfig or "kubectl's kubeconfig"
         raise InputError(f"{named}: {str(error).rstrip('.')}; give KUBECONFIG and CONTEXT") from error
+    except NO_KUBECONFIG as error:
+        named, words = given.kubeconfig or "kubectl's kubeconfig", " ".join(str(error).split())
+        raise InputError(f"{named}: is no kubeconfig ({words}); give KUBECONFIG and CONTEXT") from error
     api.configuration.retries = False
     return api
 

@@ -4,6 +4,7 @@ it, scenarios run there, and everything that was added is taken away again."""
 from __future__ import annotations
 
 import functools
+import os
 import re
 import subprocess
 from collections.abc import Mapping, Sequence
@@ -92,7 +93,7 @@ class Existing(ReachedThroughApiServer):
         self.recognise()
         brought = self.images_to_bring(wanted)
         agents = self._agents()
-        mapping.require_agents(agents.entries, topology)
+        mapping.require_agents(agents, topology)
         self._take(agents, [*brought, *self._to_install()], wanted)
         self.bring_images(wanted)
 
@@ -161,9 +162,13 @@ class Existing(ReachedThroughApiServer):
     @functools.cached_property
     def _kubeconfig(self) -> Path:
         given, context = self._given.kubeconfig, self._given.context
-        chosen = [*(["--kubeconfig", given] if given else []), *(["--context", context] if context else [])]
+        chosen = ["--context", context] if context else []
         command = [str(self.binaries / "kubectl"), "config", "view", "--minify", "--flatten", "--raw", *chosen]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=COMMAND_SECONDS_MAX, check=False)
+        # as a variable it may name several files, which the option does not take
+        own = {**os.environ, **({"KUBECONFIG": given} if given else {})}
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=COMMAND_SECONDS_MAX, check=False, env=own
+        )
         if done.returncode:
             raise SetUpError(f"kubectl config view: {done.stderr.strip()}")
         self.work().mkdir(parents=True, exist_ok=True)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import shlex
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,11 @@ from ci.cluster.choosing import Choice
 from ci.cluster.embedded.provider import Embedded
 from ci.cluster.existing.nodes import GivenCluster
 from ci.errors import InputError
+from ci.folders import PROJECT
+from robotkube.errors import InputError as WrongInput
+from robotkube.foundation.kubernetes.adapters.client import api_client
+
+SECONDS_MAX = 20
 
 
 def chosen(*words: str) -> Choice:
@@ -51,3 +58,28 @@ def test_the_chart_is_told_what_the_embedded_cluster_needs() -> None:
     profile = choosing.provider(Choice()).chart_profile()
     assert profile.files == ("values-embedded.yaml",)
     assert profile.values == {"suites": {"pool": 3}}
+
+
+@pytest.mark.processes
+def test_make_passes_words_on_as_they_are() -> None:
+    """Names of contexts and files may have spaces and quotes; what is empty is no option."""
+    said = {"CONTEXT": "my team's context", "KUBECONFIG": "/a b/one:/two", "AGENTS": "my agents.yaml", "VALUES": ""}
+    said |= {"CLUSTER": "existing", "REGISTRY": "registry.example.com:5000/a/b/robotkube", "YES": "1"}
+    words = ["make", "--dry-run", "status", *(f"{name}={value}" for name, value in said.items())]
+    done = subprocess.run(words, cwd=PROJECT, capture_output=True, text=True, check=True, timeout=SECONDS_MAX)
+    _, module, *rest = shlex.split(done.stdout)[1:]
+    assert (module, rest.pop(0)) == ("ci.cluster", "status")
+    files = (said["KUBECONFIG"], said["CONTEXT"], said["REGISTRY"], Path(said["AGENTS"]))
+    assert chosen(*rest) == Choice("demo", "existing", GivenCluster(*files, agreed=True))
+
+
+@pytest.mark.parametrize("text", [b"not: [yaml", b"- a list", b"\xff\xfe", b"text", None])
+def test_a_file_that_is_no_kubeconfig_is_named(tmp_path: Path, text: bytes | None) -> None:
+    path = tmp_path / "kubeconfig"
+    path.mkdir() if text is None else path.write_bytes(text)
+    with pytest.raises(InputError) as refused:
+        choosing.provider(chosen("--cluster", "existing", "--kubeconfig", str(path)))
+    assert str(refused.value).startswith(f"{path}: is no kubeconfig (")
+    assert str(refused.value).endswith("give KUBECONFIG and CONTEXT")
+    with pytest.raises(WrongInput, match=f"no access to a cluster: {path} is no kubeconfig .*; run in a pod, or name"):
+        api_client(str(path))

@@ -50,7 +50,8 @@ def written(nodes: Sequence[GivenNode], changes: Sequence[Change]) -> tuple[Give
 
 def file(folder: Path, document: Any) -> Path:
     path = folder / "agents.yaml"
-    path.write_text(document if isinstance(document, str) else yaml.safe_dump(document), encoding="utf-8")
+    text = document if isinstance(document, (str, bytes)) else yaml.safe_dump(document)
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return path
 
 
@@ -82,6 +83,12 @@ ENTRY = {"node": "worker-1", "role": "vehicle", "agent": "vehicle-00"}
         ({"agents": [{"role": "vehicle", "agent": "a"}]}, "agents[0]: must have either node"),
         ({"agents": [ENTRY | {"node": 7}]}, "agents[0].node: 7 must be the name of a Node"),
         ({"agents": [ENTRY, ENTRY | {"role": "Vehicle"}]}, "agents[1].role: 'Vehicle' must be lower-case"),
+        ({"agents": [ENTRY | {"role": "drone"}]}, "'drone' must be one of platform, cloud, edge, roadside, vehicle"),
+        ({"agents": [ENTRY | {"agent": "1-car"}]}, "agents[0].agent: '1-car' becomes a namespace and a ROS name"),
+        ({"agents": [ENTRY | {"agent": "a" * 23}]}, "must begin with a letter and have at most 22 characters"),
+        ("agents: [{node: a, role: vehicle, agent: b}]\nagents: []", "agents stands twice in one mapping; keep one"),
+        ("agents: [{node: a, node: b}]", "node stands twice in one mapping"),
+        (b"agents: \xff", "is not text in UTF-8"),
         ({"agents": [ENTRY | {"agent": None}]}, "agents[0].agent: None must be lower-case"),
         ({"agents": [ENTRY], "trial": "yes"}, "trial: 'yes' must be true (several agents may share a Node) or false"),
         ({"agents": [ENTRY], "trail": True}, "trail: is unknown; known keys are agents, trial"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from ci.cluster_contract.topology import Topology
 from ci.errors import InputError
 from ci.installation import Installer, moved
 from tests.stages.paths import REPOSITORY, SCENARIOS
+from tests.stages.programs import program
 
 SCENARIO = SCENARIOS / "pose-point-cloud-db-recording" / "scenario.yaml"
 GOLDEN = REPOSITORY / "operator/tests/charts/golden"
@@ -81,7 +83,7 @@ def test_agents_of_a_scenario_that_have_no_node_are_named(cluster: Existing, wan
     with pytest.raises(InputError, match=r"agents.yaml: the scenario needs Nodes of vehicle-00 \(role vehicle, capab"):
         cluster.up(wanted, ())
     others = Topology(tuple(n for n in wanted.nodes if n.role != "vehicle"))
-    mapping.require_agents(cluster._agents().entries, others)
+    mapping.require_agents(cluster._agents(), others)
 
 
 def test_without_a_registry_there_is_no_installation(cluster: Existing, wanted: Topology, tmp_path: Path) -> None:
@@ -130,3 +132,28 @@ def test_namespaces_that_are_made_have_the_mark_of_it(cluster: Existing) -> None
     OneNamespace(Path(), Path(), Path(), cluster.chart_profile()).namespace("robotkube", {"a": "b"}, {"c": "d"})
     metadata = yaml.safe_load(OneNamespace.applied)["metadata"]
     assert metadata["annotations"] == {"c": "d", "robotkube.io/added": "demo"}
+
+
+@pytest.mark.toolchain
+def test_a_kubeconfig_may_be_several_files_and_a_context_have_spaces(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As kubectl takes them in KUBECONFIG; one that is not there is passed over."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    name, server = "my team's context", "https://192.0.2.1:6443"
+    own = {"contexts": [{"name": name, "context": {"cluster": "theirs", "user": "theirs"}}]}
+    theirs = {
+        "clusters": [{"name": "theirs", "cluster": {"server": server}}],
+        "users": [{"name": "theirs", "user": {"token": "t"}}],
+    }
+    head = {"apiVersion": "v1", "kind": "Config"}
+    files = [tmp_path / "own", tmp_path / "their files" / "config", tmp_path / "nowhere"]
+    files[1].parent.mkdir()
+    for file, document in zip(files, (own, theirs), strict=False):
+        file.write_text(yaml.safe_dump({**head, **document}))
+    binaries = Path(program("kubectl")).parent
+    cluster = Existing(GivenCluster(os.pathsep.join(map(str, files)), name), binaries=binaries)
+    assert cluster.name == name
+    written = yaml.safe_load(cluster.kubeconfig().read_text())
+    assert written["current-context"] == name
+    assert [one["cluster"]["server"] for one in written["clusters"]] == [server]

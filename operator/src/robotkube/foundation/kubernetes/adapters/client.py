@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 import urllib3
+import yaml
 from kubernetes import client, config
 from kubernetes.watch.watch import iter_resp_lines
 
@@ -31,6 +32,8 @@ BACKOFF_SECONDS_MAX = 10.0
 PAGE_OBJECTS = 500
 PAGES_MAX = 200
 CONFLICT = 409
+# What the Python client raises for a file that it cannot read, or that is something else: of YAML, of another form.
+NO_KUBECONFIG = (OSError, ValueError, yaml.YAMLError, TypeError, AttributeError)
 CONNECTIONS_KEPT_MAX = 32  # a watch holds one; by default five for each processor are kept, and more are warned of
 Object = Mapping[str, Any]
 
@@ -44,10 +47,13 @@ def api_client(kubeconfig: str | None = None, context: str | None = None, in_clu
             config.load_incluster_config(client_configuration=configuration)
         else:
             config.load_kube_config(config_file=kubeconfig, context=context, client_configuration=configuration)
-    except config.ConfigException as error:
+    except (config.ConfigException, *NO_KUBECONFIG) as error:
         named = kubeconfig or os.environ.get("KUBECONFIG") or "~/.kube/config"
-        missing = [file for file in named.split(os.pathsep) if not Path(file).expanduser().is_file()]
-        reason = str(error).rstrip(".") if in_cluster or not missing else f"there is no file {', '.join(missing)}"
+        missing = [file for file in named.split(os.pathsep) if not Path(file).expanduser().exists()]
+        reason = f"there is no file {', '.join(missing)}"
+        if in_cluster or not missing:
+            known = isinstance(error, config.ConfigException)
+            reason = str(error).rstrip(".") if known else f"{named} is no kubeconfig ({' '.join(str(error).split())})"
         raise InputError(
             f"no access to a cluster: {reason}; run in a pod, or name a kubeconfig in KUBECONFIG"
         ) from error
