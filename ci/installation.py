@@ -82,7 +82,7 @@ class Installer:
     def argocd(self, references: Mapping[str, str]) -> str:
         """Apply Argo CD's own manifests, with our images, and wait until its definitions are known. One that somebody
         else has installed stays as it is. Returns what there is to say."""
-        if self.profile.added and self._argocd_is_given():
+        if self._argocd_is_given():
             return self.argocd_of_others()
         source = toolchain.module_dir("github.com/argoproj/argo-cd/v3") / "manifests" / "install.yaml"
         pulled = {name: moved(reference, self.profile.registry) for name, reference in references.items()}
@@ -102,6 +102,13 @@ class Installer:
     def argocd_of_others(self) -> str:
         """Keep what the platform will write into an Argo CD that was there, and say which it is; SetUpError names what
         it lacks to be used."""
+        if not self.kubectl("get", "namespace", ARGOCD, "--ignore-not-found", "-o", "name"):
+            raise SetUpError(
+                f"Argo CD's definitions are there, and there is no namespace {ARGOCD}: a run uses an Argo CD in that "
+                "one alone. With one elsewhere install the platform with Helm and its namespace in argocd.namespace "
+                "(docs/how-to/install-from-a-bundle.md); without one take the definitions away: "
+                f"kubectl delete crd {' '.join(DEFINITIONS)}"
+            )
         verdict = argocd_installed(self._present_argocd())
         wrong = [*(f"{one.what}: {one.fix}" for one in verdict.problems), *filter(None, [verdict.unseen])]
         if wrong:
@@ -120,15 +127,16 @@ class Installer:
 
     def _of_given_argocd(self) -> dict[str, Any]:
         """Values by which managers reach the server of an Argo CD that was there, unless the profile has some."""
-        if not self.profile.added or "server" in (stated_values(self.profile).get("argocd") or {}):
-            return {}
-        if not self._argocd_is_given():
+        stated = stated_values(self.profile).get("argocd") or {}
+        if "server" in stated or not self._argocd_is_given():
             return {}
         server = given_argocd.server_values(self.kubectl, speech(self._present_argocd()))
         return {"argocd": {"server": server}} if server else {}
 
     def _argocd_is_given(self) -> bool:
-        """Return whether there is one that was not made here."""
+        """Return whether there is one that was not made here; on a cluster that was, there is none."""
+        if not self.profile.added:
+            return False
         namespace = json.loads(self.kubectl("get", "namespace", ARGOCD, "--ignore-not-found", "-o", "json") or "{}")
         if not namespace:
             return bool(self._definitions_of_argocd())
@@ -181,7 +189,7 @@ class Installer:
         self.work.mkdir(parents=True, exist_ok=True)
         self.namespace(NAMESPACE, RESTRICTED)
         given = {
-            **merged(merged(platform_values(references, topology), self._of_given_argocd()), self.profile.values),
+            **self.values(references, topology),
             "evidence": self.signing_key(),
             **values,
         }
@@ -198,6 +206,11 @@ class Installer:
                 raise SetUpError(what_hangs(str(error), [line.words for line in hanging])) from error
         if chart == CHART:  # until then an older gate had the key there
             self.kubectl("-n", NAMESPACE, "delete", "secret", KEY_SECRET, "--ignore-not-found")
+
+    def values(self, references: Mapping[str, str], topology: Topology) -> dict[str, Any]:
+        """What the chart is told of images, agents, an Argo CD that was there, and of the cluster upon these."""
+        known = merged(platform_values(references, topology), self._of_given_argocd())
+        return merged(known, self.profile.values)
 
     def following(
         self, namespaces: Sequence[str], say: Callable[[str], None]

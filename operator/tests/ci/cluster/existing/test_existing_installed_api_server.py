@@ -21,7 +21,7 @@ from ci.cluster.existing.provider import Existing
 from ci.cluster_contract.topology import NodeSpec, Topology
 from ci.errors import InputError, SetUpError
 from ci.images.services import SERVICE_NAMES
-from ci.installation import PLATFORM_IMAGES, Installer, merged, platform_values
+from ci.installation import PLATFORM_IMAGES, Installer
 from tests.stages.kubernetes import argocd_definitions
 from tests.stages.kubernetes.api_server import ApiServerProcess
 from tests.stages.kubernetes.controllers import controlling
@@ -48,6 +48,7 @@ ENDED = {"phase": "Succeeded"}
 PASSING = {"leases", "events", "endpointslices", "endpoints", "serviceaccounts", "pods", "replicasets"}
 CHANGING = ("resourceVersion", "managedFields", "generation")
 REVISION = "deployment.kubernetes.io/revision"  # counts the changes of a Deployment's pods
+CERTIFICATE = "-----BEGIN CERTIFICATE-----\nMII=\n-----END CERTIFICATE-----\n"
 Objects = Mapping[str, Any]
 
 
@@ -129,7 +130,7 @@ def install(cluster: Existing, tmp_path: Path) -> str:
     said = installer.argocd(REFERENCES)
     installer.namespace("robotkube", {})
     key = installer.signing_key()
-    values = merged(platform_values(REFERENCES, TOPOLOGY), cluster.chart_profile().values) | {"evidence": key}
+    values = installer.values(REFERENCES, TOPOLOGY) | {"evidence": key}
     (tmp_path / "values.yaml").write_text(yaml.safe_dump(values))
     installer.helm("-n", "robotkube", "install", "robotkube", CHART, "--no-hooks", "-f", str(tmp_path / "values.yaml"))
     return said
@@ -204,6 +205,10 @@ def test_an_argo_cd_of_others_is_used_and_gets_back_what_it_had(
         until(lambda: all_ready(server), "Argo CD ready")
         before = server.everything()
         assert install(given, tmp_path) == "version 3.1 in namespace argocd, which was there"
+        settings = server.get("/api/v1/namespaces/robotkube/configmaps/manager")["data"]
+        asked = yaml.safe_load(settings["config.yaml"])["argocd"]
+        assert asked["url"] == "https://argocd-server.argocd.svc.cluster.local"
+        assert settings["argocd.crt"] == CERTIFICATE
         written_by_bootstrap(server)
         assert "project default is used by" in refusal_of_a_used_project(server, given, tmp_path)
         given.down()
@@ -243,7 +248,7 @@ def argo_cd(server: Server) -> None:
     argocd_definitions.define(server.client)
     for name, data in (("argocd-cm", {"url": "https://a"}), ("argocd-rbac-cm", {}), ("argocd-tls-certs-cm", {})):
         server.make("/api/v1/namespaces/argocd/configmaps", {"metadata": {"name": name}, "data": data})
-    keys = {"server.secretkey": "k", "webhook.github.secret": "s"}
+    keys = {"server.secretkey": "k", "webhook.github.secret": "s", "tls.crt": CERTIFICATE, "tls.key": "k"}
     server.make("/api/v1/namespaces/argocd/secrets", {"metadata": {"name": "argocd-secret"}, "stringData": keys})
     project: dict[str, Any] = {
         "apiVersion": "argoproj.io/v1alpha1",

@@ -15,7 +15,7 @@ from ci.cluster.existing.provider import Existing
 from ci.cluster.existing.removing import KEPT_KINDS
 from ci.cluster_contract import topology
 from ci.cluster_contract.topology import Topology
-from ci.errors import InputError
+from ci.errors import InputError, SetUpError
 from ci.installation import Installer, moved
 from tests.stages.paths import REPOSITORY, SCENARIOS
 from tests.stages.programs import program
@@ -59,6 +59,20 @@ def cluster(tmp_path: Path) -> Iterator[Existing]:
     provider = Existing(given)
     yield provider
     provider._nodes._api.close()
+
+
+class Elsewhere(Installer):
+    """A cluster with Argo CD's definitions, and without a namespace argocd."""
+
+    def kubectl(self, *arguments: str, text: str | None = None, seconds: int = 60) -> str:
+        assert arguments[0] == "get", arguments
+        return "\n".join(arguments[1:4]).replace("crd", "customresourcedefinition") if "crd/" in arguments[1] else ""
+
+
+def test_an_argo_cd_elsewhere_is_not_taken_for_none(cluster: Existing) -> None:
+    installer = Elsewhere(Path(), Path(), Path(), cluster.chart_profile())
+    with pytest.raises(SetUpError, match=r"there is no namespace argocd: .* its namespace in argocd.namespace"):
+        installer.argocd({})
 
 
 def test_the_chart_is_told_agents_registry_and_what_the_file_says(cluster: Existing) -> None:
