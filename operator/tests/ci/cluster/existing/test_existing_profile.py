@@ -153,6 +153,7 @@ def test_a_kubeconfig_may_be_several_files_and_a_context_have_spaces(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As kubectl takes them in KUBECONFIG; one that is not there is passed over."""
+    binaries = Path(program("kubectl")).parent
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     name, server = "my team's context", "https://192.0.2.1:6443"
     own = {"contexts": [{"name": name, "context": {"cluster": "theirs", "user": "theirs"}}]}
@@ -165,7 +166,6 @@ def test_a_kubeconfig_may_be_several_files_and_a_context_have_spaces(
     files[1].parent.mkdir()
     for file, document in zip(files, (own, theirs), strict=False):
         file.write_text(yaml.safe_dump({**head, **document}))
-    binaries = Path(program("kubectl")).parent
     cluster = Existing(GivenCluster(os.pathsep.join(map(str, files)), name), binaries=binaries)
     assert cluster.name == name
     written = yaml.safe_load(cluster.kubeconfig().read_text())
