@@ -1,6 +1,6 @@
 # Every target runs a module of ci/ or scenarios/ in the project's own Python environment (made by ci/python, kept in the cache folder).
 .DEFAULT_GOAL := help
-.PHONY: help demo drive test test-fast test-thorough check bench cluster nodes status down toolchain images kind-node-image web bundle lock golden reference docs
+.PHONY: help demo drive test test-fast test-thorough check bench cluster nodes status down toolchain arm64 images kind-node-image web bundle lock golden reference docs
 
 PYTHON := ci/python
 # the name of a folder below scenarios/, and a variant of its scenario.yaml: make demo SCENARIO=three-vehicles VARIANT=small
@@ -71,6 +71,9 @@ down:           ## stop the cluster and remove everything it made; of one that i
 
 toolchain:      ## build the programs of the embedded cluster (cached)
 	@$(PYTHON) -m ci.toolchain
+
+arm64:          ## compile everything in Go for arm64, into build/arm64, and inspect it; nothing of it runs here
+	@$(PYTHON) -m ci.toolchain.arm64
 
 images:         ## build the container images (cached)
 	@$(PYTHON) -m ci.images

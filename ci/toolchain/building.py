@@ -14,9 +14,11 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from ci import packages
 from ci.errors import SetUpError
@@ -111,12 +113,20 @@ def _build_all(target: Path) -> None:
 
 def _build_database(target: Path) -> None:
     """FerretDB has a build of its own, which ends with its own smoke test."""
+    with of_database() as module:
+        module.build(target)
+
+
+@contextmanager
+def of_database(more: Mapping[str, str] = go.HERE) -> Iterator[Any]:
+    """The module that builds FerretDB, while this process's environment has Go and `more`; SetUpError with what it says
+    that fails."""
     module = importlib.import_module("ci.toolchain.ferretdb.build")
     command, environment = go.program()
     before = dict(os.environ)
-    os.environ.update(environment | {"PATH": f"{Path(command).parent}:{environment['PATH']}"})
+    os.environ.update({**environment, "PATH": f"{Path(command).parent}:{environment['PATH']}", **more})
     try:
-        module.build(target)
+        yield module
     except RuntimeError as error:
         raise SetUpError(f"ferretdb: {error}") from error
     finally:
@@ -124,13 +134,13 @@ def _build_database(target: Path) -> None:
         os.environ.update(before)
 
 
-def build(program: Program, versions: Mapping[str, str], target: Path) -> None:
-    """Compile and link one program into `target`, reproducibly, resolving nothing."""
+def build(program: Program, versions: Mapping[str, str], target: Path, more: Mapping[str, str] = go.HERE) -> None:
+    """Compile and link one program into `target`, reproducibly, resolving nothing; `more`: variables of Go."""
     stamps = [f"-X {name}={value}" for name, value in program.stamps(versions).items()]
     arguments = ["build", "-mod=readonly", "-trimpath", "-buildvcs=false"]
     arguments += ["-tags", program.tags, "-ldflags", " ".join(["-s -w", *stamps])]
     arguments += ["-o", str(target / program.name), program.package]
-    go.run(arguments, program.folder, cgo=program.cgo)
+    go.run(arguments, program.folder, program.cgo, more)
     for link in program.links:
         (target / link).symlink_to(program.name)
 

@@ -10,6 +10,7 @@ import subprocess
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 
 from ci import packages
 from ci.errors import SetUpError
@@ -21,6 +22,7 @@ SELF_RAISING = (1, 21)  # from here on Go fetches the version it is asked for (G
 PLACES = ("/usr/local/go/bin/go", "/usr/lib/go/bin/go")
 FETCH_TIMEOUT_SECONDS = 600
 COMMAND_TIMEOUT_SECONDS = 1800
+HERE: Mapping[str, str] = MappingProxyType({})  # no variables that have Go compile for another machine
 
 
 def find() -> Path | None:
@@ -85,13 +87,14 @@ def version() -> str:
     return run(["version"], Path("/")).strip()
 
 
-def run(arguments: Sequence[str], folder: Path, cgo: bool = False) -> str:
-    """Run `go ARGUMENTS` in `folder`; its standard output; raises SetUpError with the end of its messages."""
+def run(arguments: Sequence[str], folder: Path, cgo: bool = False, more: Mapping[str, str] = HERE) -> str:
+    """Run `go ARGUMENTS` in `folder`, with `more` variables; its standard output; raises SetUpError with the end of its
+    messages."""
     go, environment = program()
     result = subprocess.run(
         [go, *arguments],
         cwd=folder,
-        env=environment | {"CGO_ENABLED": "1" if cgo else "0"},
+        env={**environment, "CGO_ENABLED": "1" if cgo else "0", **more},
         capture_output=True,
         text=True,
         timeout=COMMAND_TIMEOUT_SECONDS,
