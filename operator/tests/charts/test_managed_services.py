@@ -1,0 +1,74 @@
+"""The values that pages give for a broker, a database and a forge of others: what is installed then, and where
+everybody connects."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from tests.stages.paths import CHARTS, DOCS
+
+pytestmark = pytest.mark.toolchain
+
+PLATFORM = CHARTS / "robotkube"
+OFFICIAL = Path(__file__).parent / "profiles" / "official.yaml"
+PAGES = [DOCS / "how-to" / name for name in ("use-a-managed-broker-and-database.md", "use-another-forge.md")]
+BLOCK = re.compile(r"^```yaml\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+INSTALLED = {"broker": "Deployment/broker", "database": "StatefulSet/database", "forge": "StatefulSet/forge"}
+
+
+def example(part: str) -> dict[str, Any]:
+    """The one example that is about it."""
+    blocks = [yaml.safe_load(text) for page in PAGES for text in BLOCK.findall(page.read_text(encoding="utf-8"))]
+    [found] = [one for one in blocks if part in one]
+    return dict(found)
+
+
+@pytest.mark.parametrize("part", INSTALLED)
+def test_nothing_is_installed_of_what_others_have(helm: Any, official: Any, part: str) -> None:
+    workloads = {name for name, _ in helm.template(PLATFORM, OFFICIAL, **example(part)).pods}
+    before = {name for name, _ in official.pods}
+    assert INSTALLED[part] in before - workloads
+    assert {name for other, name in INSTALLED.items() if other != part} <= workloads
+
+
+def test_everybody_connects_to_the_broker_of_others(helm: Any) -> None:
+    rendered = helm.template(PLATFORM, OFFICIAL, **example("broker"))
+    accounts = [one for one in rendered.of_kind("Secret") if one["metadata"]["name"].startswith("broker-account")]
+    assert {(one["stringData"]["host"], one["stringData"]["port"]) for one in accounts} == {
+        ("mqtt.example.com", "8883")
+    }
+    settings = yaml.safe_load(rendered.one("ConfigMap", "manager")["data"]["config.yaml"])
+    assert (settings["broker"]["host"], settings["broker"]["port"]) == ("mqtt.example.com", 8883)
+    assert opened(rendered, "manager", 8883) == ["198.51.100.7/32"]
+    assert "Deployment/rights" not in {name for name, _ in rendered.pods}
+
+
+def test_everybody_connects_to_the_database_of_others(helm: Any) -> None:
+    rendered = helm.template(PLATFORM, OFFICIAL, **example("database"))
+    account = rendered.one("Secret", "database-account", "cloud-0")["stringData"]
+    assert (account["host"], account["port"], account["tls"]) == ("mongo.example.com", "27017", "required")
+    assert "Job/installation-test" not in {name for name, _ in rendered.pods}
+
+
+def test_everybody_connects_to_the_forge_of_others(helm: Any) -> None:
+    rendered = helm.template(PLATFORM, OFFICIAL, **example("forge"))
+    forge = yaml.safe_load(rendered.one("ConfigMap", "manager")["data"]["config.yaml"])["forge"]
+    assert forge["url"] == "https://gitlab.example.com"
+    assert (forge["kind"], forge["api"]) == ("gitlab", "https://gitlab.example.com/api/v4")
+
+
+def opened(rendered: Any, name: str, port: int) -> list[str]:
+    """The addresses outside of the cluster to which the policy of this name lets its pods, at a port."""
+    [rules] = [one["spec"]["egress"] for one in rendered.of_kind("NetworkPolicy") if one["metadata"]["name"] == name]
+    return [
+        peer["ipBlock"]["cidr"]
+        for rule in rules
+        if port in [one["port"] for one in rule.get("ports", ())]
+        for peer in rule.get("to", ())
+        if "ipBlock" in peer
+    ]
