@@ -9,8 +9,10 @@ from typing import Any
 import pytest
 import yaml
 
+from robotkube.delivery.manager.__main__ import read_configuration
+from robotkube.foundation.runtime.settings_file import read_settings
 from tests.stages.paths import CHARTS
-from tests.stages.settings_mounted import pod_of
+from tests.stages.settings_mounted import mounted, pod_of
 
 pytestmark = pytest.mark.toolchain
 
@@ -53,3 +55,10 @@ def test_managers_reach_argocd_server_as_the_values_say(helm: Any, given: dict[s
     assert (volume["configMap"]["name"], data[item["key"]]) == ("manager", CERTIFICATE)
     assert [f"{one['mountPath']}/{item['path']}" for one in mounts] == [settings["authorities"]]
     assert "subPath" not in mounts[0]
+
+
+def test_the_manager_reads_what_the_chart_writes(helm: Any, tmp_path: Path) -> None:
+    rendered = helm.template(PLATFORM, PROFILE, FOLDER / "argocd-server.yaml")
+    settings = read_settings(mounted(rendered, "manager", tmp_path), read_configuration)
+    assert settings.argocd_url == "https://argocd-server.argocd.svc.cluster.local"
+    assert settings.argocd_authorities == Path("/etc/robotkube/argocd/ca.crt")

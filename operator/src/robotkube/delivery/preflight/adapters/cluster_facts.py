@@ -117,7 +117,9 @@ class ClusterFacts:
             present = self.service(namespace, SERVER)
         except RobotKubeError as error:
             return Unread(str(error))
-        return None if present is None else frozenset(one["port"] for one in present["spec"].get("ports") or ())
+        if present is None:
+            return None
+        return frozenset(one["port"] for one in (present.get("spec") or {}).get("ports") or ())
 
     def release(self, name: str, namespace: str) -> HelmRevision | None:
         """The last revision of a Helm release."""
