@@ -23,6 +23,7 @@ from ci.cluster_contract.topology import Topology, chart_agents
 from ci.errors import InputError, SetUpError
 from ci.folders import user_cache
 from ci.images import image_lock
+from ci.images.built import REPOSITORY
 from ci.images.image_lock import Image
 from ci.installation import ARGOCD, GATE, NAMESPACE, Installer
 from robotkube.delivery.preflight.core.values import merged
@@ -30,6 +31,7 @@ from robotkube.foundation.kubernetes.core.node_agents import shared_nodes, trial
 
 ADDED = {"robotkube.io/added": "demo"}  # annotation of namespaces that are made before the chart
 COMMAND_SECONDS_MAX = 60
+PAGE = "docs/how-to/use-a-cluster-that-is-there.md"
 
 
 class Existing(ReachedThroughApiServer):
@@ -99,9 +101,13 @@ class Existing(ReachedThroughApiServer):
 
     def lacking_images(self) -> str:
         """The sentence about images of application charts, and about those of publishers."""
+        built, place = REPOSITORY.rpartition("/")[2], self._place()
+        found = f"by a mirror of that name ({PAGE})"
+        if place and place.rpartition("/")[2] != built:
+            found = f"by no mirror of containerd, since REGISTRY {place} does not end with /{built} ({PAGE})"
         return (
-            "application charts name images as they were built: Nodes find these by a mirror of that name "
-            "(docs/how-to/use-a-cluster-that-is-there.md), and what publishers push to the forge is not pulled"
+            f"application charts name images as they were built: Nodes find these {found}, and what publishers push to "
+            "the forge is not pulled"
         )
 
     def recognise(self) -> None:

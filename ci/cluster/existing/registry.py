@@ -43,9 +43,9 @@ def require(text: str, images: Sequence[Image], authority: Path | None = None) -
 def place_of(text: str) -> RegistryPlace:
     """HOST/PATH as a person wrote it; InputError."""
     try:
-        return read_place(text)
+        return read_place(text, "REGISTRY")
     except WrongInput as error:
-        raise InputError(str(error).replace("--to", "REGISTRY", 1)) from error
+        raise InputError(str(error)) from error
 
 
 def missing(registry: Manifests, place: RegistryPlace, images: Sequence[Image]) -> list[str]:

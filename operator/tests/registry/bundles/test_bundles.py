@@ -292,10 +292,36 @@ def test_files_of_others_are_no_such_archives(name: str) -> None:
     assert not is_archive(name)
 
 
-@pytest.mark.parametrize("text", ["host", "host/", "https://host/path", "host/Path", "host:port/path", "/path", ""])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "host",
+        "host/",
+        "https://host/path",
+        "host/Path",
+        "host:port/path",
+        "/path",
+        "",
+        "oci://a.b/c",
+        "a.b/c//d",
+    ],
+)
 def test_what_is_no_place(text: str) -> None:
     with pytest.raises(InputError, match="write HOST/PATH in lower case"):
         read_place(text)
+
+
+@pytest.mark.parametrize("text", ["robots/robotkube", "registry/a/b"])
+def test_a_host_that_runtimes_would_take_for_a_path(text: str) -> None:
+    with pytest.raises(InputError, match=f"--registry {text}: .* has neither a dot nor a port, .* Docker Hub"):
+        read_place(text, "--registry")
+
+
+@pytest.mark.parametrize(
+    "text", ["localhost/a/b", "registry:5000/a", "r.example/a/b/c/robotkube", "r.example/x__y/a-b.c"]
+)
+def test_places_of_several_segments(text: str) -> None:
+    assert str(read_place(text)) == text
 
 
 def test_places(tmp_path: Path) -> None:

@@ -97,5 +97,6 @@ def show_manifests(options: argparse.Namespace) -> Table:
         raise InputError(f"{bundle.path}: manifests {options.name} have {len(layers)} layers instead of one")
     text = bundle.read(layers[0], MANIFESTS_BYTES_MAX).decode()
     if options.registry:
-        text = text.replace(f"{bundle.contents.prefix}/", f"{read_place(options.registry)}/")
+        place = read_place(options.registry, "--registry")
+        text = text.replace(f"{bundle.contents.prefix}/", f"{place}/")
     return Table("manifests", (), [{"text": text}], text=text)

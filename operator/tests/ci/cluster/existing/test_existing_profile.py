@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -171,3 +172,13 @@ def test_a_kubeconfig_may_be_several_files_and_a_context_have_spaces(
     written = yaml.safe_load(cluster.kubeconfig().read_text())
     assert written["current-context"] == name
     assert [one["cluster"]["server"] for one in written["clusters"]] == [server]
+
+
+def test_a_registry_where_no_mirror_finds_images_of_charts_is_named(cluster: Existing, tmp_path: Path) -> None:
+    assert "find these by a mirror of that name (docs/" in cluster.lacking_images()
+    elsewhere = replace(cluster._given, registry="registry.example.com/robots/fleet")
+    words = Existing(elsewhere).lacking_images()
+    assert (
+        "by no mirror of containerd, since REGISTRY registry.example.com/robots/fleet does not end with /robotkube"
+        in words
+    )

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 from robotkube.errors import InputError
 from robotkube.foundation.documents.core.patterns import REGISTRY_PATH
 from robotkube.registry.bundles.core.contents import BundleItem
+
+PART = r"[a-z0-9]+(?:(?:\.|_{1,2}|-+)[a-z0-9]+)*"
+REPOSITORY = re.compile(rf"{PART}(?:/{PART})*", re.ASCII)  # as registries take them (OCI distribution specification)
 
 
 @dataclass(frozen=True)
@@ -28,9 +32,18 @@ class RegistryPlace:
         return f"{self}/{item.repository}@{item.digest}"
 
 
-def read_place(text: str) -> RegistryPlace:
-    """The place that a person wrote; InputError says how to write one."""
+def read_place(text: str, option: str = "--to") -> RegistryPlace:
+    """The place that a person wrote for an `option`; InputError says how to write one."""
     match = REGISTRY_PATH.fullmatch(text.removesuffix("/"))
-    if match is None:
-        raise InputError(f"--to {text}: write HOST/PATH in lower case, such as registry.example.com/robots/robotkube")
-    return RegistryPlace(match["host"], match["path"])
+    if match is None or not REPOSITORY.fullmatch(match["path"]):
+        raise InputError(
+            f"{option} {text}: write HOST/PATH in lower case and without oci:// or https://, such as "
+            "registry.example.com/robots/robotkube"
+        )
+    host = match["host"]
+    if host != "localhost" and not set(".:") & set(host):
+        raise InputError(
+            f"{option} {text}: {host} has neither a dot nor a port, so container runtimes take it for a path of Docker "
+            f"Hub: write the registry's whole name, such as {host}.example.com, or its port"
+        )
+    return RegistryPlace(host, match["path"])
