@@ -15,7 +15,8 @@ from robotkube.registry.charts.adapters.chart_folders import pack
 from robotkube.robots.recording.adapters.segments import McapSegments
 from robotkube.robots.recording.core.documents import Received
 
-CHART, IMAGES = PROJECT / "charts" / "apps" / "event-detector", {"event-detector": "registry.example/image@sha256:1"}
+CHART = PROJECT / "charts" / "apps" / "event-detector"
+IMAGES = {"event-detector": "registry.example/image@sha256:1"}
 CLOUD_TYPE = "sensor_msgs/msg/PointCloud2"
 CLOUD_BYTES, CLOUDS = 320_000, 100
 REPETITIONS = 5

@@ -137,7 +137,8 @@ def main() -> int:
     parser.add_argument("--until", choices=STOPS, default="scenario")
     given = parser.parse_args()
     try:
-        settings, cluster = topology.overrides(given.set), choosing.choice(given)
+        settings = topology.overrides(given.set)
+        cluster = choosing.choice(given)
         wanted = Request(given.scenario, settings, cluster, given.until, variant=given.variant, driving=given.driving)
         return run(wanted)
     except (SetUpError, ScenarioError) as error:

@@ -236,7 +236,9 @@ def measure(testbed: DataPath) -> dict[str, object]:
     start = int((time.time() + LEAD_SECONDS) * 1e9)
     testbed.order(start)
     time.sleep(LEAD_SECONDS + 2)
-    before, idle_before, moment = testbed.costs(), _idle_seconds(), time.monotonic()
+    before = testbed.costs()
+    idle_before = _idle_seconds()
+    moment = time.monotonic()
     time.sleep(testbed.seconds - 4)
     elapsed = time.monotonic() - moment
     after = testbed.costs()

@@ -127,7 +127,8 @@ def compare() -> list[Comparison]:
     record(RECORD, values)
     if kinds.poses_received != kinds.poses_published:
         raise SetUpError(f"{kinds.poses_published} poses were published, {kinds.poses_received} arrived")
-    name, ours = f"pose behind {MBIT} Mbit/s full of clouds, p99", float(kinds.pose_age_p99_ms)
+    name = f"pose behind {MBIT} Mbit/s full of clouds, p99"
+    ours = float(kinds.pose_age_p99_ms)
     return [
         Comparison(name, "ms", ours, AGE_P99_MS_MAX, 1.0, "the goal"),
         Comparison(name, "ms", ours, float(without.pose_age_p99_ms), 0.5, "without kinds of traffic"),

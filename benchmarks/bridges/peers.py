@@ -126,7 +126,8 @@ def ros_source(process: Process, options: argparse.Namespace) -> Any:
 
 def ros_sink(process: Process, options: argparse.Namespace) -> Any:
     """Receives from ROS."""
-    sink, source = Sink(options.count), RosNode("sink").subscribe(options.topic, POSE_TYPE, depth=DEPTH)
+    sink = Sink(options.count)
+    source = RosNode("sink").subscribe(options.topic, POSE_TYPE, depth=DEPTH)
     while sink.messages < options.count and not process.stopping.wait(PERIOD_SECONDS * 4):
         if messages := source.take(DEPTH):
             for data in messages:

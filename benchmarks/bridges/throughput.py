@@ -75,7 +75,8 @@ class BridgeTestbed:
         settings = self.folder / "config.yaml"
         settings.write_text(json.dumps({"agent": AGENT, direction: [topic]}))
         pod = self._start("bridge", pods.python("robotkube.robots.bridge"), ROBOTKUBE_CONFIG=str(settings))
-        log, deadline = self.folder / "bridge.log", time.monotonic() + START_SECONDS_MAX
+        log = self.folder / "bridge.log"
+        deadline = time.monotonic() + START_SECONDS_MAX
         while '"connected"' not in log.read_text():
             if time.monotonic() > deadline or pod.process.poll() is not None:
                 raise SetUpError(f"the bridge does not connect: {log.read_text()}")
@@ -89,7 +90,8 @@ class BridgeTestbed:
 
     def result(self, role: str, seconds: float) -> dict[str, int] | None:
         """What a peer wrote within that time."""
-        path, deadline = self._result(role), time.monotonic() + seconds
+        path = self._result(role)
+        deadline = time.monotonic() + seconds
         while not path.exists():
             if time.monotonic() > deadline:
                 return None
@@ -126,7 +128,8 @@ def carry(direction: str, rate: float = RATE, seconds: float = SECONDS, perf: Pa
         if perf is not None:
             _record(stack, bridge, perf, seconds)
         received = testbed.result(roles[1], START_SECONDS_MAX + seconds + DRAIN_SECONDS_MAX)
-        spent, memory = bridge.cpu_seconds() - before, bridge.memory_bytes()
+        spent = bridge.cpu_seconds() - before
+        memory = bridge.memory_bytes()
         sink.stop()
         received = received or testbed.result(roles[1], 0.0)
         testbed.pods[-1].stop()

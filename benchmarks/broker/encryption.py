@@ -75,7 +75,8 @@ def cost(seconds: dict[str, dict[str, float]]) -> dict[str, Any]:
 
 def compare() -> list[Comparison]:
     """Bridges and broker together, recorder and database together, with TLS against without."""
-    moved, stored = measured(), storing()
+    moved = measured()
+    stored = storing()
     record(RECORD, {"tls_cost": cost(moved), "database_tls_cost": cost(stored)})
     return [
         _comparison(f"bridges and broker with TLS, {VEHICLES} x 100 Hz, clouds", "% CPU", moved),

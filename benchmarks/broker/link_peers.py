@@ -40,7 +40,8 @@ def say(process: Process, topics: list[str], count: int) -> None:
 def relay(process: Process, topics: list[str], count: int) -> None:
     """Publish what comes under the other name."""
     node = RosNode("relay")
-    source, target = node.subscribe(topics[0], POSE_TYPE), node.advertise(topics[1], POSE_TYPE)
+    source = node.subscribe(topics[0], POSE_TYPE)
+    target = node.advertise(topics[1], POSE_TYPE)
     while not process.stopping.wait(PERIOD_SECONDS):
         for data in source.take():
             target.publish(data)

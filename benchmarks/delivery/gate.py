@@ -34,7 +34,8 @@ def p95(values: list[float]) -> float:
 def compare() -> list[Comparison]:
     """Task to main against the forge alone."""
     milliseconds = measure()
-    ours, floor = statistics.median(milliseconds["tasks"]), p95(milliseconds["floor"])
+    ours = statistics.median(milliseconds["tasks"])
+    floor = p95(milliseconds["floor"])
     record_merge_latency(milliseconds["tasks"], milliseconds["floor"])
     record(
         {

@@ -74,7 +74,9 @@ def plan(known: Catalogue, machines: Fleet, tree: Tree, tasks: Mapping[str, Task
 
 def cost(vehicles: int) -> float:
     """Milliseconds of the plan for one task on a fleet that has its initial configuration."""
-    known, machines, task = catalogue(), fleet_of(vehicles), meeting()
+    known = catalogue()
+    machines = fleet_of(vehicles)
+    task = meeting()
     first = plan(known, machines, read_tree({}), {})
     tree = read_tree({path: text for path, text in first.files.items() if text is not None})
     return seconds(lambda: plan(known, machines, tree, {task.key: task}), REPETITIONS) * 1000

@@ -107,7 +107,8 @@ class Switch:
 def activate(rounds: int = ROUNDS) -> Activation:
     """Four activations a round."""
     with tempfile.TemporaryDirectory(prefix="activating-") as name, ApiServerInMemory() as api:
-        folder, switch = Path(name), Switch(api, pods.free_port())
+        folder = Path(name)
+        switch = Switch(api, pods.free_port())
         switch.configure("inactive")
         activations = _measured(folder, switch, rounds)
     if len(activations) != 4 * rounds:

@@ -162,7 +162,8 @@ def receive(seconds: float = SECONDS) -> Received:
         detector = here.detector()
         source = _begin(here, SETTLE_SECONDS + seconds, DEMO_RATE)
         time.sleep(SETTLE_SECONDS)
-        before, spent = here.received(), detector.cpu_seconds()
+        before = here.received()
+        spent = detector.cpu_seconds()
         time.sleep(seconds - 4)
         spent, messages = detector.cpu_seconds() - spent, here.received() - before
         source.stop()

@@ -29,7 +29,8 @@ NAIVE_SECONDS = 20.0
 
 def receiving() -> list[Comparison]:
     """Poses into the buffer and through the rule, beside taking them and nothing else, and beside an executor."""
-    received, naive = detecting.receive(), naive_receive()
+    received = detecting.receive()
+    naive = naive_receive()
     record(
         RECORD,
         {
@@ -62,7 +63,8 @@ def naive_receive() -> float:
 
 def noticing() -> list[Comparison]:
     """Messages a second that one core takes without loss, and the time from a message to its event."""
-    throughput, delay = detecting.sustained(), detecting.latency(EVENTS)
+    throughput = detecting.sustained()
+    delay = detecting.latency(EVENTS)
     values = {
         "sustained_messages_per_second_one_core": throughput.messages_per_second_one_core,
         "sustained_lost": throughput.lost,

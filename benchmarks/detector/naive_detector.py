@@ -66,7 +66,8 @@ def main() -> None:
     ended: list[int] = []
     rclpy.init()
     signal.signal(signal.SIGTERM, lambda number, _: ended.append(number))
-    node, detector = rclpy.create_node("naive_detector"), NaiveDetector(rule)
+    node = rclpy.create_node("naive_detector")
+    detector = NaiveDetector(rule)
     for agent in rule["agents"]:
         name = rule["topic"].replace("{agent}", agent.replace("-", "_"))
         node.create_subscription(kind(topic["type"]), name, detector.callback(agent), int(topic.get("depth", 1000)))

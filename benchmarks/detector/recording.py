@@ -34,7 +34,8 @@ from robotkube.robots.recording.loops.recordings import Recordings
 from robotkube.robots.ros.core.ring_buffers import Sample
 from robotkube.robots.ros.core.topic_patterns import TopicPattern
 
-VEHICLES, SECONDS = ("vehicle_00", "vehicle_01"), 10
+VEHICLES = ("vehicle_00", "vehicle_01")
+SECONDS = 10
 POSES_PER_SECOND, CLOUDS_PER_SECOND = 100, 10
 POSE_BYTES, CLOUD_BYTES = 100, 320_000
 POSE_TYPE, CLOUD_TYPE = "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/PointCloud2"
@@ -67,7 +68,8 @@ Message = tuple[str, str, Sample]
 def store_ten_seconds(repetitions: int = REPETITIONS) -> Stored:
     """Measure, in turns with the baseline, each time with a recording of its own. The first of each only warms up."""
     with tempfile.TemporaryDirectory() as text, _database(Path(text) / "database") as database:
-        folder, messages = Path(text), list(ten_seconds())
+        folder = Path(text)
+        messages = list(ten_seconds())
         ours = []
         theirs = []
         lost = 0
@@ -85,7 +87,8 @@ def cpu_seconds(encrypted: bool) -> dict[str, float]:
     """Processor time of recorder and database for the same ten seconds. RuntimeError when messages were lost."""
     issued = throw_away(NAME) if encrypted else None
     with tempfile.TemporaryDirectory() as text, _database(Path(text) / "database", issued) as database:
-        messages, volume = list(ten_seconds()), Path(text) / "volume"
+        messages = list(ten_seconds())
+        volume = Path(text) / "volume"
         volume.mkdir()
         site = _Site(database, volume, "bench")
         began = {"recorder": time.process_time(), "database": database.pod.cpu_seconds()}

@@ -92,7 +92,11 @@ def _ours(made: Sequence[Path]) -> Result:
 def _theirs(made: Sequence[Path]) -> Result:
     places: dict[str, tuple[float, float, float]] = {}
     watched = ("/vehicles/vehicle_00/pose", "/vehicles/vehicle_01/pose")
-    near, messages, edges, first, last = False, 0, 0, None, 0
+    near = False
+    messages = 0
+    edges = 0
+    first = None
+    last = 0
     with AnyReader(list(made), default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
         chosen = [connection for connection in reader.connections if connection.msgtype == POSE]
         for connection, moment, data in reader.messages(chosen):

@@ -31,7 +31,9 @@ from robotkube.registry.evidence.core.verification_policy import SUMMARY
 from robotkube.registry.publication.loops.submitting import UNCHANGED
 from scenarios import definition, demo
 
-CLUSTER, VARIANT, UNTIL = Choice("test"), "small", "platform"
+CLUSTER = Choice("test")
+VARIANT = "small"
+UNTIL = "platform"
 SCENARIO = PROJECT / "scenarios" / "pose-point-cloud-db-recording"
 PUBLISHING = "catalogue"  # the step of `bring_up` that publishes
 REPETITIONS = 3  # of the unchanged publication

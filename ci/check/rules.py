@@ -7,7 +7,7 @@ import subprocess
 from collections import Counter
 from collections.abc import Iterable
 
-from ci.check import boundaries, cores
+from ci.check import assignments, boundaries, cores
 from ci.docs import links, markdown
 from ci.errors import InputError
 from ci.folders import PROJECT
@@ -27,8 +27,9 @@ def tracked(*patterns: str) -> list[str]:
 
 def repository_rules() -> list[str]:
     """Rules that no tool knows: no absolute paths of one machine, no registry addresses, no module of more than 500
-    lines, no folder with too many of them, no name of two public classes of one tree, no page with lines that do not
-    fit into a window, no core that is not pure, no package outside of the import contracts.
+    lines, no folder with too many of them, no tuple assignment of values of several kinds, no name of two public
+    classes of one tree, no page with lines that do not fit into a window, no core that is not pure, no package outside
+    of the import contracts.
     """
     findings = []
     if (TOP / "operator/__init__.py").exists():
@@ -53,6 +54,7 @@ def repository_rules() -> list[str]:
                 f"{name}: {lines} lines; a module of more than {LONGEST_MODULE_LINES} is more than one idea"
             )
     findings += crowded_folders(tracked(*(f"{root}/*.py" for root in ROOTS)))
+    findings += mixed_assignments(tracked("*.py"))
     for root in ROOTS:
         findings += ambiguous_classes(tracked(f"{root}/*.py"))
     findings += long_lines()
@@ -66,6 +68,16 @@ def crowded_folders(names: Iterable[str]) -> list[str]:
         f"{folder}: {count} modules; at most {MODULES_MAX}: give what belongs together a folder of its own"
         for folder, count in sorted(modules.items())
         if count > MODULES_MAX
+    ]
+
+
+def mixed_assignments(names: Iterable[str]) -> list[str]:
+    """Statements that give several names values which have nothing to do with each other."""
+    return [
+        finding
+        for name in names
+        if not name.startswith(AS_PUBLISHED)
+        for finding in assignments.findings(name, (TOP / name).read_text(encoding="utf-8"))
     ]
 
 

@@ -159,7 +159,8 @@ def cut_services(
 ) -> dict[str, BuiltImage]:
     """The images of services, cut from the one that `built` has."""
     ground = cutting.read_ground(built[GROUND].archive)
-    files, commands = read_sources(), entry_points()
+    files = read_sources()
+    commands = entry_points()
     places: dict[str, Path] = {}
     for service in cut:
         with steps.step(f"image {service.name}") as step:

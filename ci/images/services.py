@@ -129,7 +129,8 @@ def _entry(name: str, content: bytes | None, member: tarfile.TarInfo | None) -> 
     """A file, or a folder when there is no content; with the mode it has in the layer it comes from."""
     entry = tarfile.TarInfo(name)
     entry.type = tarfile.DIRTYPE if content is None else tarfile.REGTYPE
-    entry.size, entry.mtime = len(content or b""), EPOCH_SECONDS
+    entry.size = len(content or b"")
+    entry.mtime = EPOCH_SECONDS
     entry.mode = member.mode if member else 0o755 if content is None else 0o644
     return entry
 

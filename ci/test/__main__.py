@@ -61,7 +61,8 @@ def compared(before: working_tree.Files, after: working_tree.Files, whole: bool)
     has tested no one state of them; who runs some tests may be writing."""
     if before.unread:
         print(f"\nno file was compared with what it was before the tests: {before.unread}", flush=True)
-    difference, others = working_tree.difference(before, after), working_tree.difference_of_others(before, after)
+    difference = working_tree.difference(before, after)
+    others = working_tree.difference_of_others(before, after)
     failed = [Result(FILES, 0, 1, 0, 0.0, {"files of the repository": difference})] if whole and difference else []
     for one in (*([] if failed else [difference]), others):
         if one:

@@ -25,7 +25,8 @@ from ci.test import child_runs, preparing, results, shared_servers
 TOP = PROJECT
 TESTS = "operator/tests"
 EXAMPLES = "ROBOTKUBE_EXAMPLES"
-MEMORY, MEMORY_BYTES_MIN = Path("/dev/shm"), 4 * 2**30  # noqa: S108 - the folder in it is made by tempfile
+MEMORY = Path("/dev/shm")  # noqa: S108 - the folder in it is made by tempfile
+MEMORY_BYTES_MIN = 4 * 2**30
 FEW_EXAMPLES, ALL_EXAMPLES = 10, 200
 IMAGES_SECONDS_MAX = 1800
 PLATFORM = f"{TESTS}/platform"  # its tests are marked by their folder

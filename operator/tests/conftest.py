@@ -44,7 +44,8 @@ def pytest_runtest_logfinish() -> None:
 def own_logging() -> Iterator[None]:
     """What a test does to the loggers, by running an entry point for example, ends with it."""
     root, own = logging.getLogger(), logging.getLogger("robotkube")
-    handlers, levels = list(root.handlers), (root.level, own.level)
+    handlers = list(root.handlers)
+    levels = (root.level, own.level)
     yield
     root.handlers[:] = handlers
     for logger, level in zip((root, own), levels, strict=True):

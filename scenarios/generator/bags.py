@@ -139,7 +139,8 @@ def _grid(parameters: Parameters, hertz: int, offset: int) -> np.ndarray[tuple[i
 def _poses(parameters: Parameters, agent: str, number: int) -> Iterator[Message]:
     stamps = _grid(parameters, parameters.pose_hz, 0)
     motion = routes.motion(parameters, number, stamps / messages.NANOSECONDS)
-    writer, topic = messages.PoseWriter(), pose_topic(agent)
+    writer = messages.PoseWriter()
+    topic = pose_topic(agent)
     for stamp, x, y, yaw in zip(
         stamps.tolist(), motion.x.tolist(), motion.y.tolist(), motion.yaw.tolist(), strict=True
     ):
@@ -150,7 +151,8 @@ def _lidar(parameters: Parameters, agent: str, number: int) -> Iterator[Message]
     """The transform at offset 0, then the clouds."""
     base = ros_name(agent)
     frame = f"{ros_name(agent)}/lidar_center"
-    mount, rays = _mount(parameters, number), scene.ray_directions(parameters.points)
+    mount = _mount(parameters, number)
+    rays = scene.ray_directions(parameters.points)
     yield transform_topic(agent), 0, messages.transform(0, base, frame, mount)
     stamps = _grid(parameters, parameters.point_cloud_hz, CLOUD_OFFSET_NS)
     own, *others = (
@@ -158,7 +160,9 @@ def _lidar(parameters: Parameters, agent: str, number: int) -> Iterator[Message]
         for index in (number, *(index for index in range(parameters.vehicles) if index != number))
     )
     obstacles = routes.obstacles(parameters)
-    writer, topic, random = messages.CloudWriter(frame, len(rays)), cloud_topic(agent), np.random.default_rng(number)
+    writer = messages.CloudWriter(frame, len(rays))
+    topic = cloud_topic(agent)
+    random = np.random.default_rng(number)
     for index, stamp in enumerate(stamps.tolist()):
         noise = random.standard_normal(len(rays), np.float32) * np.float32(scene.NOISE_M)
         place = _place(own, index)

@@ -71,7 +71,8 @@ def motion(parameters: Parameters, index: int, times: Floats) -> Motion:
 
 def _phases(parameters: Parameters, begin: float) -> list[Phase]:
     """The drive of the first vehicle from x = `begin`: straight on, or with a stop before the corner."""
-    speed, onwards = parameters.speed_mps, straight(TAIL_SECONDS, parameters.speed_mps, 1)
+    speed = parameters.speed_mps
+    onwards = straight(TAIL_SECONDS, parameters.speed_mps, 1)
     if not parameters.blocked_seconds:
         return [onwards]
     braking = Phase(speed / ACCELERATION_MPS2, speed, 0.0, False, 1)

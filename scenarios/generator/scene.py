@@ -143,7 +143,8 @@ def _box_ranges(
         height - size_m[2] / 2,
     )
     along = (*_turned(rays, heading - box.yaw), rays[:, 2])
-    entry, leave = np.zeros(len(rays), np.float32), np.full(len(rays), np.inf, np.float32)
+    entry = np.zeros(len(rays), np.float32)
+    leave = np.full(len(rays), np.inf, np.float32)
     with np.errstate(divide="ignore", invalid="ignore"):
         for axis in range(3):
             half = size_m[axis] / 2

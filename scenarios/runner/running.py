@@ -144,9 +144,11 @@ def _print_progress(text: str) -> None:
 def _run(
     scenario: Scenario, provider: Provider, made: Mapping[str, Path], seconds: dict[str, float], reports: Path
 ) -> int:
-    access, machines = Access(provider.kubeconfig(), provider.reach), provider.machines()
+    access = Access(provider.kubeconfig(), provider.reach)
+    machines = provider.machines()
     nodes = needs.nodes_by_name(scenario, provider)
-    forge, story = access.forge(), scenario.story
+    forge = access.forge()
+    story = scenario.story
     account_of_person, approver = access.forge_account(story.person), access.forge_account(story.approver)
     with (
         Deployment(forge, *account_of_person, approver=approver) as deployment,

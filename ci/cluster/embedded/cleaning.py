@@ -22,7 +22,8 @@ def remove(name: str, keep_logs: bool = True) -> tuple[str, ...]:
 
     Mounts and network namespaces of the nodes end with their last process. Raises SetUpError listing what is left.
     """
-    folders, plan = ClusterFolders(name), plan_of(name)
+    folders = ClusterFolders(name)
+    plan = plan_of(name)
     removed = tuple(_existing(name))
     record = Record.read(folders.record)
     processes.kill_all(name)
@@ -43,7 +44,8 @@ def remove(name: str, keep_logs: bool = True) -> tuple[str, ...]:
 
 def _existing(name: str) -> Iterator[str]:
     """What exists of the cluster, in words for people; files that a removal keeps are not among it."""
-    folders, plan = ClusterFolders(name), plan_of(name)
+    folders = ClusterFolders(name)
+    plan = plan_of(name)
     strays = processes.strays(name)
     yield from _counted("process", "processes", len(strays))
     yield from _counted("network namespace", "network namespaces", len(_networks(strays)))
@@ -76,7 +78,8 @@ def _networks(pids: Iterable[int]) -> set[str]:
 
 def leftovers(name: str) -> tuple[str, ...]:
     """Everything of the cluster that is on the machine outside of the cache folder; empty when there is nothing."""
-    folders, plan = ClusterFolders(name), plan_of(name)
+    folders = ClusterFolders(name)
+    plan = plan_of(name)
     record = Record.read(folders.record)
     left = [f"process {pid}" for pid in sorted(processes.strays(name))]
     left += [f"link {link}" for link in host_network.links(plan)]

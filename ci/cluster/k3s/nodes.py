@@ -42,7 +42,8 @@ class K3sNode:
 def read(item: Mapping[str, Any]) -> K3sNode:
     """A Node of the API server."""
     status, spec = item.get("status", {}), item.get("spec", {})
-    info, images = status.get("nodeInfo", {}), status.get("images") or ()
+    info = status.get("nodeInfo", {})
+    images = status.get("images") or ()
     addresses = {one["type"]: one["address"] for one in reversed(status.get("addresses") or ())}
     names = frozenset(name for image in images for name in image.get("names") or ())
     return K3sNode(

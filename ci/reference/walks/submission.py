@@ -141,7 +141,8 @@ def run(recorder: WalkRecorder) -> None:
     catalogue = MemoryCatalogue(
         {"policies/release.yaml": "assurance: verified\n", "policies/verification.yaml": write_mapping(POLICY)}
     )
-    forge, registry = MemoryCatalogueForge(catalogue), MemoryChartRegistry()
+    forge = MemoryCatalogueForge(catalogue)
+    registry = MemoryChartRegistry()
     queue = SuiteQueue(Executor(_configuration()), [], lambda rule: False)
     with tempfile.TemporaryDirectory() as folder, _without_programs(registry):
         gate = _gate(Path(folder), forge, registry, Runner(RunsEndpoint(TOKEN, queue.put)))

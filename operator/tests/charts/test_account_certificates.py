@@ -82,7 +82,8 @@ def refused(turned: Turned, account: BrokerAccount, words: str) -> None:
 
 def spoiled(broker: EncryptedBroker) -> dict[str, tuple[Pair, str]]:
     """Certificates that do not hold, each with what is said."""
-    now, ours = time.time(), broker.authority
+    now = time.time()
+    ours = broker.authority
     stranger = new_authority("ours", now)
     return {
         "expired": (issue_account(ours, "vehicle-00", now - 120, 60), "has expired"),

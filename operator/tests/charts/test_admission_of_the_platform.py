@@ -110,15 +110,18 @@ class Demo:
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Demo]:
-    folder, binaries = tmp_path_factory.mktemp("demo"), Path(program("kubectl")).parent
+    folder = tmp_path_factory.mktemp("demo")
+    binaries = Path(program("kubectl")).parent
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
-        folders, wanted = ClusterFolders("demo"), topology.read(SCENARIO, {"vehicles": "2"})
+        folders = ClusterFolders("demo")
+        wanted = topology.read(SCENARIO, {"vehicles": "2"})
         options = admission_files.prepare(folders, wanted, LOCK)
         with prepared_cluster(folder, options=options, kinds=()) as cluster, controlling(folder, cluster.kubeconfig):
             nodes = node_processes.nodes_of(wanted.nodes, plan_of(folders.name), folders)
             first_objects.create(Calls(cluster), nodes)  # type: ignore[arg-type]
-            own, profile = admission_files.folder(folders), Embedded(folders.name, binaries).chart_profile()
+            own = admission_files.folder(folders)
+            profile = Embedded(folders.name, binaries).chart_profile()
             forge = Forge(folder / "forge")
             on_disk = CatalogueOnDisk(lambda: forge.repositories, own / "clones")
             following = admission_files.following(folders, CatalogueListing(on_disk, TrustedKeys(own / "keys")))

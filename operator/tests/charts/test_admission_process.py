@@ -173,8 +173,10 @@ def stage(
     rendered: Rendered, cluster: Cluster, api: Requests, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Stage]:
     """The process by the chart's settings, woken by webhooks and watches alone: nothing is polled."""
-    folder, port = tmp_path_factory.mktemp("admission"), free_port()
-    key, forge = signing_key(folder / "key"), ForgeProcess(folder / "forge")
+    folder = tmp_path_factory.mktemp("admission")
+    port = free_port()
+    key = signing_key(folder / "key")
+    forge = ForgeProcess(folder / "forge")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(follower, "RESYNC_SECONDS", 3600.0)
         forge.start()
@@ -235,7 +237,8 @@ def test_what_no_trusted_key_signed_is_not_listed(stage: Stage, tmp_path: Path) 
     [f"{LISTS}/{LIST}", f"{POLICIES}/robotkube-agents", f"{BINDINGS}/robotkube-agents"],
 )
 def test_what_an_administrator_deletes_comes_back(stage: Stage, place: str, caplog: pytest.LogCaptureFixture) -> None:
-    before, restored = stage.api.done("GET", place), stage.counted("restored_total")
+    before = stage.api.done("GET", place)
+    restored = stage.counted("restored_total")
     stage.api.done("DELETE", place)
     until(lambda: stage.api.request("GET", place)["kind"] == before["kind"], "it is there again")
     until(lambda: stage.starts(image(1)) and not stage.starts(image(3)), "it is at work again")
@@ -260,7 +263,8 @@ def test_what_somebody_adds_is_taken_away(stage: Stage) -> None:
 
 
 def test_while_the_forge_is_away_the_last_list_stays_and_comes_back(stage: Stage) -> None:
-    before, failed = stage.listed()["data"], stage.counted("failures_total")
+    before = stage.listed()["data"]
+    failed = stage.counted("failures_total")
     stage.forge.stop()
     stage.api.done("DELETE", f"{LISTS}/{LIST}")
     until(lambda: stage.listed().get("data") == before, "the list is there again")
@@ -295,7 +299,8 @@ def test_the_account_may_do_this_and_nothing_else(stage: Stage) -> None:
         answer = stage.api.request(method, path, body, ACCOUNT, kind)
         return bool(answer.get("code") == 403)
 
-    apply, head = "application/apply-patch+yaml", {"apiVersion": "v1", "kind": "ConfigMap"}
+    apply = "application/apply-patch+yaml"
+    head = {"apiVersion": "v1", "kind": "ConfigMap"}
     query = "?fieldManager=x&force=true&dryRun=All"
     stage.api.done("GET", f"{LISTS}/{LIST}", user=ACCOUNT)
     other = {**head, "metadata": {"name": "other"}}

@@ -163,7 +163,8 @@ def test_each_alert_fires_and_is_silent(promtool: Path, rules: Path, tmp_path: P
 
 def test_a_case_that_does_not_hold_is_seen(promtool: Path, rules: Path, tmp_path: Path) -> None:
     """An alert that is silent is not taken for one that fires."""
-    path, case = tmp_path / "cases.yaml", tried("RobotKubeStranger", CASES["RobotKubeStranger"].silent, 1)
+    path = tmp_path / "cases.yaml"
+    case = tried("RobotKubeStranger", CASES["RobotKubeStranger"].silent, 1)
     path.write_text(yaml.safe_dump({"rule_files": [str(rules)], "evaluation_interval": "30s", "tests": [case]}))
     with pytest.raises(AssertionError, match="RobotKubeStranger"):
         ask(promtool, "test", "rules", str(path))

@@ -167,7 +167,8 @@ def test_releases_become_applications_under_admission_and_others_do_not(
 ) -> None:
     """By the ApplicationSet of the platform chart, with releases given in place of those in Git; `controller` writes
     with its own account."""
-    [project], [generated] = embedded.of_kind("AppProject"), copy.deepcopy(embedded.of_kind("ApplicationSet"))
+    [project] = embedded.of_kind("AppProject")
+    [generated] = copy.deepcopy(embedded.of_kind("ApplicationSet"))
     elements = [release("detector", CHART), release("stranger", digest(8))]
     generated["spec"]["generators"] = [{"list": {"elements": elements}}]
     installed.kubectl("apply", "-n", NAMESPACE, "-f", "-", text=yaml.safe_dump_all([project, generated]))
@@ -233,7 +234,8 @@ def test_the_repo_server_answers_who_shows_the_certificate_and_nobody_else(
 
 def greeting(port: int, context: ssl.SSLContext) -> str:
     """What comes of a greeting in HTTP/2: answered, or why not; empty while nobody listens."""
-    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    context.check_hostname = False
+    context.verify_mode = ssl.CERT_NONE
     context.set_alpn_protocols(["h2"])
     try:
         with (

@@ -176,7 +176,8 @@ def upgraded(installed: Installed) -> Upgraded:
     seen.upgrade("--set", "tls.accounts=passwords")
     issuance = installed.issuance
     assert issuance.accounts is not None
-    main, objects = Nobody(), KubernetesCertificates(installed.api, issuance)
+    main = Nobody()
+    objects = KubernetesCertificates(installed.api, issuance)
     with_passwords = issuance.accounts.certificates[-1]
     seen.refused("accounts that have passwords", lambda: objects.of_account(with_passwords))
     seen.upgrade()

@@ -79,7 +79,8 @@ class EncryptedDatabase:
     def shown(self) -> bytes:
         """The certificate that a client sees now, valid or not."""
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-        context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+        context.check_hostname = False
+        context.verify_mode = ssl.CERT_NONE
         with socket.create_connection(("127.0.0.1", self.port), 5) as plain, context.wrap_socket(plain) as encrypted:
             return encrypted.getpeercert(binary_form=True) or b""
 
@@ -126,7 +127,9 @@ def complaint(login: DatabaseLogin) -> str:
 
 
 def test_who_is_refused_says_why(database: EncryptedDatabase) -> None:
-    other, missing, clear = database.folder / "other.crt", database.folder / "none.crt", database.login()
+    other = database.folder / "other.crt"
+    missing = database.folder / "none.crt"
+    clear = database.login()
     other.write_text(new_authority("another", time.time()).certificate)
     refused = {
         f"its certificate is of an authority that {other} does not have": database.login(authorities=other),

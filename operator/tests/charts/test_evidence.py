@@ -40,7 +40,8 @@ def platform(request: pytest.FixtureRequest, profile: str) -> Any:
 
 
 def test_only_the_gate_mounts_the_key_and_stands_where_it_is(platform: Any, profile: str) -> None:
-    name, own = GATE_KEYS[profile], {}
+    name = GATE_KEYS[profile]
+    own = {}
     for workload in platform.of_kind("Deployment", "StatefulSet", "Job"):
         text = json.dumps(workload["spec"]["template"]["spec"]["volumes"])
         own[workload["metadata"]["name"]] = (workload["metadata"].get("namespace"), f'"{name}"' in text)

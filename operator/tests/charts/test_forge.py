@@ -72,7 +72,8 @@ class Forge:
 def forge(helm: Any, tmp_path_factory: pytest.TempPathFactory) -> Forge:
     """In clear text; by TLS: test_forge_certificate.py."""
     embedded = helm.template(PLATFORM, *EMBEDDED, forge={"tls": False})
-    folder, port = tmp_path_factory.mktemp("forge"), free_port()
+    folder = tmp_path_factory.mktemp("forge")
+    port = free_port()
     account = embedded.one("Secret", "forge-account-administrator")["stringData"]
     for key, value in account.items():
         (folder / key).write_text(value)
@@ -132,7 +133,8 @@ def test_it_is_no_provider_unless_the_console_asks_for_it(served: Forge) -> None
 
 
 def test_an_account_makes_no_repository_and_no_organisation(served: Forge) -> None:
-    account, base = ("somebody", "password-of-somebody"), f"http://127.0.0.1:{served.port}/api/v1"
+    account = ("somebody", "password-of-somebody")
+    base = f"http://127.0.0.1:{served.port}/api/v1"
     new = {"username": account[0], "password": account[1], "email": "a@b.invalid", "must_change_password": False}
     made = http_calls.post(f"{base}/admin/users", json=new, auth=administrator(served), timeout=5)
     assert made.status_code == 201, made.text

@@ -140,7 +140,8 @@ def test_a_webhook_is_not_sent_to_whom_another_authority_signed_for(stage: Stage
 def test_another_authority_is_believed_when_the_kubelet_has_brought_it(stage: Stage, tmp_path: Path) -> None:
     """Not when the forge starts the next time: whom it calls has the other certificate by then."""
     heard: list[WebhookDelivery] = []
-    other, folder = new_authority("another", time.time()), stage.forge.folder
+    other = new_authority("another", time.time())
+    folder = stage.forge.folder
     server = hearing(tmp_path, other, heard)
     url = f"https://localhost:{server.port}/webhook"
     administration = GiteaAdministration(stage.forge.url, *stage.forge.administrator())

@@ -174,7 +174,8 @@ def render(helm: Any, port: int) -> Any:
 
 @pytest.fixture(scope="module")
 def stage(helm: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
-    port, folder = free_port(), tmp_path_factory.mktemp("files")
+    port = free_port()
+    folder = tmp_path_factory.mktemp("files")
     rendered = render(helm, port)
     forge = EncryptedForge(tmp_path_factory.mktemp("forge") / "pod", rendered, port)
     file = mounted(rendered, "console", folder / "console")

@@ -159,7 +159,8 @@ def test_the_key_is_made_once_and_believed(without_key: Installed, tmp_path: Pat
 @pytest.mark.thorough
 def test_upgrade_removal_and_installing_again_keep_the_key(without_key: Installed, tmp_path: Path) -> None:
     assert without_key.run()[0] == 0
-    before, cluster = without_key.key(), without_key.cluster
+    before = without_key.key()
+    cluster = without_key.cluster
     without_key.helm("upgrade")
     without_key.helm("upgrade", "--set", "logLevel=debug")
     assert without_key.key() == before

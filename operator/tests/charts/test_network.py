@@ -229,7 +229,8 @@ def test_argo_cd_that_comes_with_the_platform_does_what_the_table_says_on_any_cl
     means |= {"api-server": {"api-server"}, "name-service": {"kube-system/coredns"}, "clients": {"client"}}
     means |= {"metrics": {"monitoring/prometheus"}, "kubelets": {"kubelet"}}
     rules = [*policies(rendered.objects), *map(read_policy, argocd_network.policies("argocd", STATED))]
-    allowed, wanted = table(rules, everybody), expected(means)
+    allowed = table(rules, everybody)
+    wanted = expected(means)
 
     def of_argo_cd(reach: Reach) -> bool:
         return any(name.startswith("argocd/") for name in reach[:2]) and not not_ours(reach)
@@ -295,7 +296,8 @@ def test_the_console_reaches_the_forge_where_people_sign_in_by_it_alone(helm: An
 
 def test_without_addresses_only_ports_of_the_api_server_are_open_and_none_of_ours(official: Any) -> None:
     bridge = pod("vehicle-00", "bridge", {}, 0)
-    internet, manager = ELSEWHERE[2], pod("robotkube", "manager", {"app.kubernetes.io/component": "manager"}, 1)
+    internet = ELSEWHERE[2]
+    manager = pod("robotkube", "manager", {"app.kubernetes.io/component": "manager"}, 1)
     rules = policies(official.objects)
     assert {at for at in ASKED if may_connect(rules, bridge, internet, *at).allowed} == {("TCP", 443), ("TCP", 6443)}
     assert not [at for at in ASKED if may_connect(rules, bridge, manager, *at).allowed]
@@ -341,7 +343,8 @@ def test_what_stands_elsewhere_is_reached_at_its_port_alone(helm: Any) -> None:
         traces={"endpoint": "http://collector.example:4318/v1/traces"},
         networkPolicies={**STATED, "outside": {"to": address}},
     )
-    rules, there = policies(rendered.objects), NetworkPeer("there", "198.51.100.7")
+    rules = policies(rendered.objects)
+    there = NetworkPeer("there", "198.51.100.7")
     asked = [("TCP", port) for port in (443, 1883, 3000, 4318, 6443, 8443, 8883, 27017, 27018)]
 
     def reached(namespace: str, component: str = "") -> set[int]:

@@ -24,7 +24,8 @@ FOLDER = Path(__file__).parent / "profiles"
 PLATFORM_CPU_MAX = 1.2
 PLATFORM = CHARTS / "robotkube"
 PROFILE = Path(__file__).parent / "profiles" / "official.yaml"
-OPTIONAL, AGENTS = {"Deployment/remover", "Deployment/console"}, ("vehicle-00", "vehicle-01", "cloud-0")
+OPTIONAL = {"Deployment/remover", "Deployment/console"}
+AGENTS = ("vehicle-00", "vehicle-01", "cloud-0")
 WRITE_VERBS = {"create", "update", "patch", "delete", "deletecollection", "*", "bind", "escalate", "impersonate"}
 
 

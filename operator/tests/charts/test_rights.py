@@ -255,7 +255,8 @@ def test_an_account_may_do_exactly_this(asking: httpx.Client, everybody: Rights,
 def test_the_console_writes_tasks_as_a_listed_group_alone(installed: Cluster, tmp_path: Path) -> None:
     """By trying, with the console's own token: not by itself, not as another group, not in another namespace."""
     with console_api(installed, tmp_path) as api:
-        tasks, anna = ImpersonatedTasks(api), Person("Änna B", ("robotkube:operators",))
+        tasks = ImpersonatedTasks(api)
+        anna = Person("Änna B", ("robotkube:operators",))
         asked = read_request({"namespace": "cloud-0", "application": "pose-telemetry"})
         document = asked.document("asked", anna.name, "2026-11-21T10:00:00Z")
         assert tasks.submit(anna, WRITERS, document)

@@ -92,9 +92,11 @@ def settings_of(rendered: Any, forge: ForgeProcess, port: int, broker: int, fold
 
 @pytest.fixture(scope="module")
 def stage(helm: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Stage]:
-    folder, port = tmp_path_factory.mktemp("rights"), free_port()
+    folder = tmp_path_factory.mktemp("rights")
+    port = free_port()
     rendered = helm.template(PLATFORM, PROFILE, tls={"accounts": "passwords"})
-    broker, forge = RightsBroker(folder / "broker"), ForgeProcess(folder / "forge")
+    broker = RightsBroker(folder / "broker")
+    forge = ForgeProcess(folder / "forge")
     stopping = threading.Event()
     broker.start()
     forge.start()

@@ -59,7 +59,8 @@ def test_a_way_through_the_page_of_the_consoles_own_process() -> None:
 @pytest.mark.parametrize("mode", MODES)
 def test_views(mode: str) -> None:
     class Synthetic(Handler):
-        page, fleet = console.build(), Fleet(15, away=frozenset(["broker"]))
+        page = console.build()
+        fleet = Fleet(15, away=frozenset(["broker"]))
 
     Synthetic.mode = mode
     server = ThreadingHTTPServer(("127.0.0.1", 0), Synthetic)

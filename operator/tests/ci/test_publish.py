@@ -147,7 +147,8 @@ def test_what_was_built_is_published_once_and_its_evidence_kept(
 def test_more_charts_come_with_what_they_replace_and_the_applications_they_run(
     publishing: Publishing, access: publish.PublishingAccounts, tmp_path: Path
 ) -> None:
-    built, kept = images(tmp_path, b"more"), tmp_path / "kept"
+    built = images(tmp_path, b"more")
+    kept = tmp_path / "kept"
     older = publish.publish_to(access, built, kept, extra=["object-detection@0.1.2"])
     assert "object-detection 0.1.2" in {chart.name for chart in older.outcome.charts}
     newer = publish.publish_to(access, built, kept, extra=["object-detection", "object-tracking"])
@@ -174,7 +175,8 @@ def test_another_image_gives_other_charts_and_the_old_ones_stay(
     assert not old & new
     with OciRegistry(installation.url, "argocd", installation.passwords["argocd"]) as registry:
         for chart in (chart for one in published for chart in one.outcome.charts):  # what runs stays there
-            repository, tag = f"verified/{chart.artefact.chart}", build_tag(chart.artefact.version, chart.digest)
+            repository = f"verified/{chart.artefact.chart}"
+            tag = build_tag(chart.artefact.version, chart.digest)
             assert registry.manifest_digest(repository, tag) == chart.digest
     catalogue = read_catalogue({path: text for path, text in publishing.main().items() if path.startswith(FOLDERS)})
     assert catalogue.assurance == "verified"
@@ -251,7 +253,8 @@ def stop_when_waiting(line: str) -> None:
 def test_what_runs_by_itself_waits_for_a_person(
     installation: Installation, publishing: Publishing, access: publish.PublishingAccounts, tmp_path: Path
 ) -> None:
-    built, path = images(tmp_path, b"unapproved"), "applications/proximity-operator.yaml"
+    built = images(tmp_path, b"unapproved")
+    path = "applications/proximity-operator.yaml"
     catalogue = installation.clone("gate", "robotkube/catalogue")
     if path in [entry.path for entry in _index(catalogue)]:
         removal = catalogue.commit({path: None}, "away\n", [catalogue.tip()])

@@ -41,7 +41,8 @@ def push(folder: Path, files: dict[str, str]) -> None:
 def test_it_prints_what_a_trusted_key_signed_and_says_what_is_left_out(
     arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    key, app = signing_key(tmp_path / "key"), artefact()
+    key = signing_key(tmp_path / "key")
+    app = artefact()
     trusting(tmp_path / "keys", key)
     unsigned = entry(artefact("other"), images=(image(3),))
     push(tmp_path, catalogue(published(key, app, images=(image(1),)), unsigned))

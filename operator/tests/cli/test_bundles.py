@@ -90,7 +90,8 @@ def test_a_program_that_is_missing_is_named(
 def test_what_earlier_loads_left_for_k3s_is_named_and_removed_when_that_is_asked(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path, folder = str(made(tmp_path).path), tmp_path / "k3s"
+    path = str(made(tmp_path).path)
+    folder = tmp_path / "k3s"
     folder.mkdir()
     earlier, broken = folder / "robotkube-0.0.9-0123456789ab.tar", folder / "robotkube-0.0.8-0123456789ab.tar.part"
     others = [folder / "robotkube-0.0.9.tar", folder / "k3s-airgap-images-amd64.tar"]

@@ -370,7 +370,8 @@ def test_a_recording_that_nothing_speaks_against_but_no_seal_proves_has_an_exit_
 )
 def test_an_incomplete_topic_is_false_for_programs_too(form: str, word: str) -> None:
     """Not the text "false", which programs take for true."""
-    memory, text = Memory(), io.StringIO()
+    memory = Memory()
+    text = io.StringIO()
     gap = {"where": "recorder", "why": "killed", "count": None, "first": 250, "last": 350}
     memory.told[0] = audit(POSE, 3, gaps=[gap])
     write(cli_recordings.verified({"cloud-0": memory}, memory, NAME, [], None), form, text)

@@ -26,7 +26,8 @@ class Line:
     """Runs commands with access to the test's server."""
 
     def __init__(self, api_server: ApiServerProcess, capture: pytest.CaptureFixture[str]) -> None:
-        self._access, self._capture = ["--kubeconfig", str(api_server.kubeconfig)], capture
+        self._access = ["--kubeconfig", str(api_server.kubeconfig)]
+        self._capture = capture
 
     def run(self, *words: str) -> tuple[int, str, str]:
         code = main([*words[:2], *self._access, *words[2:]])

@@ -141,7 +141,8 @@ class KeptClientIds:
 
 
 def test_clients_by_which_people_sign_in_are_made_once(administration: GiteaAdministration) -> None:
-    kept, clients = KeptClientIds(), [SignInClient(name, f"https://{name}.example", "p", name) for name in ("a", "b")]
+    kept = KeptClientIds()
+    clients = [SignInClient(name, f"https://{name}.example", "p", name) for name in ("a", "b")]
     first, again, moved = bootstrap(), bootstrap(), bootstrap()
     first.sign_in(clients, administration, kept)
     assert first.changed == ["client a", "client id in p/a", "client b", "client id in p/b"]

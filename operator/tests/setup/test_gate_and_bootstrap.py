@@ -60,7 +60,8 @@ def test_the_gate_process_takes_a_proposal_and_ends_when_asked(
         url = f"http://127.0.0.1:{installation.gate_port}"
         until(lambda: answers(f"http://127.0.0.1:{health_port}/readyz") == 200, "ready")
         assert answers(f"{url}/readyz") == 200
-        manager, plan = installation.clone("manager"), installation.plan()
+        manager = installation.clone("manager")
+        plan = installation.plan()
         with published_bridge(installation, "0.12.0") as bridge:
             commit = plan_of(manager, plan, bridge, "by-process", {})
             number = installation.propose(manager, commit, plan)
@@ -120,7 +121,8 @@ class BootstrapStage:
 def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BootstrapStage]:
     folder = tmp_path_factory.mktemp("bootstrap")
     (folder / "api").mkdir()
-    forge, api = ForgeProcess(folder / "forge"), ApiServerProcess(folder / "api")
+    forge = ForgeProcess(folder / "forge")
+    api = ApiServerProcess(folder / "api")
     database = DatabaseServer(folder / "database", issued=throw_away(ADDRESS), name=ADDRESS)
     try:
         database.start()

@@ -119,7 +119,8 @@ def test_interrupted_at_any_point_and_run_again_the_key_that_stays_is_believed(
 
 
 def test_the_key_of_an_older_installation_moves(tmp_path: Path) -> None:
-    objects, former = Objects(), new_key_pair()
+    objects = Objects()
+    former = new_key_pair()
     assert provide_key(objects, former, new_key_pair) == Provided("moved", 1)
     assert objects.secret == former.private
     assert objects.signs_for(tmp_path) == {GATE: True, PLATFORM: True}
@@ -127,7 +128,8 @@ def test_the_key_of_an_older_installation_moves(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("same", [True, False])
 def test_what_is_left_where_the_gate_was_is_said(same: bool, caplog: pytest.LogCaptureFixture) -> None:
-    objects, former = Objects(), new_key_pair()
+    objects = Objects()
+    former = new_key_pair()
     provide_key(objects, former if same else None, new_key_pair)
     kept = objects.secret
     with caplog.at_level(logging.WARNING):
@@ -139,7 +141,8 @@ def test_what_is_left_where_the_gate_was_is_said(same: bool, caplog: pytest.LogC
 
 
 def test_a_key_that_somebody_else_makes_meanwhile_stays_and_ours_is_not_believed(tmp_path: Path) -> None:
-    objects, theirs = Objects(), new_key_pair()
+    objects = Objects()
+    theirs = new_key_pair()
     objects.maps[GATE][file_name(theirs)] = objects.maps[PLATFORM][file_name(theirs)] = theirs.public
     objects.stolen = theirs.private
     assert provide_key(objects, None, new_key_pair) == Provided("kept", 1)

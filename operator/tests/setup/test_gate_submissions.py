@@ -120,7 +120,8 @@ def test_the_gate_process_publishes_what_the_command_submits(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    name, scripted = f"text-{secrets.token_hex(3)}", runner[0]
+    name = f"text-{secrets.token_hex(3)}"
+    scripted = runner[0]
     write_sources(tmp_path, name)
     scripted.checks["static"] = (Check("probes", False, "no readinessProbe", "add one"),)
     capsys.readouterr()
@@ -169,7 +170,8 @@ def test_the_gate_process_refuses_an_application_whose_parameter_leads_to_a_fore
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    name, foreign = f"text-{secrets.token_hex(3)}", "docker.io/library/busybox@sha256:" + "2" * 64
+    name = f"text-{secrets.token_hex(3)}"
+    foreign = "docker.io/library/busybox@sha256:" + "2" * 64
     write_sources(tmp_path, name)
     image_by_value(tmp_path / "charts" / "apps", name)
     path = tmp_path / "registry" / "applications" / f"{name}.yaml"

@@ -61,7 +61,8 @@ class Releases:
 
 
 def test_waits_until_all_releases_are_gone() -> None:
-    releases, seconds = Releases(["a", "b"]), Seconds()
+    releases = Releases(["a", "b"])
+    seconds = Seconds()
     assert tear_down(releases, 30, seconds.clock()) == 2
     assert releases.withdrawn
     assert seconds.seconds == 2

@@ -28,7 +28,8 @@ def until(
     machine does other things meanwhile, and it counts as that much: what is waited for is as slow. At most STRETCH_MAX
     times the bound is waited."""
     began = last = time.monotonic()
-    waited, bound = 0.0, seconds or WAIT_SECONDS_MAX
+    waited = 0.0
+    bound = seconds or WAIT_SECONDS_MAX
     end = began + bound * (1.0 if seconds else STRETCH_MAX)
     while not condition():
         now = time.monotonic()

@@ -60,7 +60,9 @@ def difference(cluster: Served, before: dict[str, Any]) -> str:
 def test_a_restarted_deployment_is_as_before(cluster: Served) -> None:
     before = lent_cluster.settled_objects(cluster)
     [pod], (first, _) = cluster.objects["pods"], cluster.objects["replicasets.apps"]
-    pod["metadata"]["name"], pod["spec"]["nodeName"], pod["status"] = "server-1-xyz", "worker2", {}
+    pod["metadata"]["name"] = "server-1-xyz"
+    pod["spec"]["nodeName"] = "worker2"
+    pod["status"] = {}
     first["metadata"]["annotations"] = {"deployment.kubernetes.io/revision": "3"}
     passed = {"namespace": "argocd", "name": "server-3", "ownerReferences": [DEPLOYMENT]}
     cluster.objects["replicasets.apps"].append({"metadata": passed, "spec": {"replicas": 0}})

@@ -10,7 +10,8 @@ from scenarios.runner.inputs import Commit, PullRequest, RunInputs
 
 PLAN_TRAILERS = ("Plan", "Trace", "Chart", "Evidence")
 TASK_TRAILERS = ("Task", "Event", "Rule")
-REPAIR, REPAIR_TRAILERS = "repair", ("Plan", "Trace", "Reverts")  # brings nothing that was not on main before
+REPAIR = "repair"  # brings nothing that was not on main before
+REPAIR_TRAILERS = ("Plan", "Trace", "Reverts")
 PEOPLE_MAY_TOUCH = "policies/"
 
 

@@ -217,7 +217,8 @@ def _after_removal(inputs: RunInputs, topic: str, mine: Sequence[Encounter]) -> 
         removed, stopped = max(removed, encounter.removed), max(stopped, encounter.stop.time)
         if following is not None and following < stopped:
             continue
-        begin, end = removed + AFTER_REMOVAL_SECONDS * NANOSECONDS, following or inputs.ended
+        begin = removed + AFTER_REMOVAL_SECONDS * NANOSECONDS
+        end = following or inputs.ended
         if begin >= end:
             return None
         clouds += _clouds_between(inputs, f"mqtt{topic}", begin, end)

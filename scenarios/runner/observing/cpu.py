@@ -76,7 +76,8 @@ class CpuSampler:
         """How many cores the cluster takes, on average over the next `seconds`; None when nobody counts it."""
         if self._root is None:
             return None
-        before, began = usage_seconds(self._root), time.monotonic()
+        before = usage_seconds(self._root)
+        began = time.monotonic()
         time.sleep(seconds)
         after = usage_seconds(self._root)
         return None if before is None or after is None else (after - before) / (time.monotonic() - began)

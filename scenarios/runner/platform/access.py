@@ -107,7 +107,8 @@ class Access:
         """An account of the platform at the broker, and how that proves who it is; by files in `folder`, as a pod has
         them mounted. From this machine names of Services are not resolved: the address is the broker's, the name in its
         certificate that of the Secret."""
-        values, broker = self.secret(PLATFORM, secret), self.endpoint("broker")
+        values = self.secret(PLATFORM, secret)
+        broker = self.endpoint("broker")
         folder.chmod(0o700)
         at = {"host": broker.host, "port": str(broker.port), SERVER_NAME: values["host"]}
         authorities = self._authorities(values)
@@ -117,7 +118,8 @@ class Access:
 
     def database_account(self, namespace: str, folder: Path) -> DatabaseLogin:
         """The account of a recording agent at the database, as above; `folder` gets the authorities alone."""
-        values, database = self.secret(namespace, DATABASE_ACCOUNT), self.endpoint("database")
+        values = self.secret(namespace, DATABASE_ACCOUNT)
+        database = self.endpoint("database")
         return login_at((database.host, database.port), values, self._authorities(values).get("ca.crt", ""), folder)
 
     def _authorities(self, account: Mapping[str, str]) -> Mapping[str, str]:

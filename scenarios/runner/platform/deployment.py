@@ -45,7 +45,8 @@ class Deployment:
         name: str = REPOSITORY,
         approver: tuple[str, str] | None = None,
     ) -> None:
-        self._user, self._account = username, (username, password)
+        self._user = username
+        self._account = (username, password)
         self._approver = approver
         self._name = name
         self._url = forge.url

@@ -31,7 +31,8 @@ LOOK_SECONDS = 1.0  # between looks; with GRACE_SECONDS a stranger is named with
 ATTEND_SECONDS = 5.0  # how often it is read what others wrote into what was reported
 AGAIN_SECONDS = 5.0  # after the cluster took no report
 API_SECONDS_MAX = 5.0  # that a request may keep it from looking
-NAMESPACE, API_PORT = "robotkube", 6443  # the platform's; of every cluster here
+NAMESPACE = "robotkube"  # the platform's
+API_PORT = 6443  # of every cluster here
 CONTAINERD = ".containerd"  # what the nodes' runtimes are named by
 
 log = logging.getLogger("robotkube.containers")

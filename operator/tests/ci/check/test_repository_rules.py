@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ci.check import boundaries, cores, rules, tools
+from ci.check import assignments, boundaries, cores, rules, tools
 from tests.stages.paths import REPOSITORY
 
 CORE = "operator/src/robotkube/delivery/manager/core/updates.py"
@@ -261,6 +261,41 @@ def test_a_folder_with_too_many_modules_is_a_finding(place: Path, folder: str) -
     assert findings(place) == []
     write(place, f"{folder}/one_more.py", "")
     assert [line.partition(";")[0] for line in findings(place)] == [f"{folder}: 16 modules"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "path, deadline = folder / 'a', now + 60",
+        "memo, asked = Memo(), [1]",
+        "releases, made = read(), commits(stage)",
+        "HOST, SECONDS = 'localhost', 2.0",
+        "self.now, self.tasks = 0.0, tasks",
+    ],
+)
+def test_what_has_nothing_to_do_with_each_other_is_assigned_apart(place: Path, text: str) -> None:
+    write(place, "ci/running.py", f"def run():\n    {text}\n")
+    targets = text.partition(" = ")[0]
+    assert findings(place) == [
+        f"ci/running.py:2: {targets} are given values of several kinds at once; assign each by itself"
+    ]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "first, last = spans[0], spans[-1]",
+        "before, after = read(old), read(new)",
+        "problems, unknown = list[str](), list[int]()",
+        "BYTES_MAX, SECONDS_MAX = 64 * 1024, -2.5",
+        "waiting, self.waiting = self.waiting, []",
+        "first, second = second, first + second",
+        "near, far = ends",
+        "first, *others = 1, 'a', 2",
+    ],
+)
+def test_what_belongs_together_may_be_assigned_at_once(text: str) -> None:
+    assert assignments.findings("ci/running.py", text) == []
 
 
 def test_a_name_of_two_public_classes_is_a_finding(place: Path) -> None:

@@ -62,7 +62,8 @@ def layer(files: Mapping[str, bytes]) -> bytes:
     with tarfile.open(fileobj=raw, mode="w") as tar:
         for path, content in files.items():
             info = tarfile.TarInfo(path)
-            info.size, info.mode = len(content), 0o755 if "/bin/" in path else 0o644
+            info.size = len(content)
+            info.mode = 0o755 if "/bin/" in path else 0o644
             tar.addfile(info, io.BytesIO(content))
     return raw.getvalue()
 
@@ -95,7 +96,8 @@ def cached(path: str) -> str:
 def cut(folder: Path, service: Service, ground: cutting.Ground, package: Mapping[str, bytes]) -> tuple[Path, Any]:
     files = modules_of(service, package, COMMANDS)
     archive = folder / service.name / "image.tar"
-    started, name = starts(service, COMMANDS), f"{REPOSITORY}/{service.name}"
+    started = starts(service, COMMANDS)
+    name = f"{REPOSITORY}/{service.name}"
     return archive, cutting.write_cut(service, ground, started, files, archive, name)
 
 

@@ -30,7 +30,8 @@ def test_the_page_of_metrics_is_current() -> None:
 
 
 def test_the_list_of_message_types_is_current() -> None:
-    types, versions = message_types.installed_types(), message_types.locked_versions()
+    types = message_types.installed_types()
+    versions = message_types.locked_versions()
     assert set(versions) == set(types), "a wheel with messages is installed here that operator/requirements has not"
     assert message_types.MODULE.read_text(encoding="utf-8") == message_types.module(types), "run: make reference"
     assert message_types.PAGE.read_text(encoding="utf-8") == message_types.page(types, versions), "run: make reference"

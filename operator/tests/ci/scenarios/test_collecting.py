@@ -69,7 +69,8 @@ def _count(count: Any) -> dict[str, Any]:
 @pytest.fixture
 def going(run: Any, monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     """A run that has ended well; recordings and ledgers are those of the healthy run."""
-    done, known = run.inputs(), run.known
+    done = run.inputs()
+    known = run.known
     monkeypatch.setattr(collecting, "stored", lambda *_: (done.recordings, done.stored, done.gaps))
     monkeypatch.setattr(collecting, "ledgers", lambda *_: done.ledgers)
     monkeypatch.setattr(running.evidence, "released", lambda _: known.released)

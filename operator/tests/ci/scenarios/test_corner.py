@@ -65,7 +65,8 @@ def test_the_bounds_are_those_of_the_operator() -> None:
 def uncertainties(places: Iterable[float], obstacles: tuple[scene.Obstacle, ...]) -> list[float]:
     """The uncertainty of the first vehicle's detection at places of its lane."""
     rays = scene.ray_directions(20_000)
-    writer, noise = messages.CloudWriter("v", len(rays)), np.zeros(len(rays), np.float32)
+    writer = messages.CloudWriter("v", len(rays))
+    noise = np.zeros(len(rays), np.float32)
     values = []
     for x in places:
         seen = scene.cast(rays, scene.MOUNTS[0], scene.Place(x, STOPPED.y, 0.0), [HIDDEN], noise, obstacles)

@@ -280,7 +280,8 @@ def test_ages_are_shown_as_shares_with_the_quantiles_and_the_bound() -> None:
 def test_each_vehicle_has_a_row_and_a_silence_stays_empty() -> None:
     _, drawing = ages.ages(DOCUMENT)
     seen = picture(drawing)
-    areas, floors = seen.of("area"), [float(one.get("y1", "")) for one in seen.of("base")]
+    areas = seen.of("area")
+    floors = [float(one.get("y1", "")) for one in seen.of("base")]
     assert [len(points(area)) - 2 for area in areas] == [3, 1, 4]
     heights = [floors[0] - y for _, y in points(areas[0])[1:-1]]
     assert [heights[2] / height for height in heights] == near([4.0, 2.0, 1.0], 0.1)

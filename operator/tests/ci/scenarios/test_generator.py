@@ -98,7 +98,8 @@ def _in_box_frame(points: np.ndarray, own: routes.Motion, other: routes.Motion) 
 
 
 def _rotated(points: np.ndarray, angle: float) -> np.ndarray:
-    cosine, sine = math.cos(angle), math.sin(angle)
+    cosine = math.cos(angle)
+    sine = math.sin(angle)
     return points @ np.array([[cosine, sine, 0], [-sine, cosine, 0], [0, 0, 1]])
 
 
@@ -172,7 +173,8 @@ def test_the_player_reads_the_bag_in_order_with_its_qualities(made: Mapping[str,
 
 
 def test_bags_are_made_once(quick: definition.Scenario, made: Mapping[str, Path]) -> None:
-    folder, said = made["vehicle-00"].parent, list[str]()
+    folder = made["vehicle-00"].parent
+    said = list[str]()
     assert folder.parts[-2:] == ("bags", bags.key(quick.parameters))
     assert bags.make_bags(quick, folder.parents[1], said.append) == made
     assert said == [f"bags: cached in {folder}"]

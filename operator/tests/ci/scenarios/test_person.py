@@ -47,7 +47,8 @@ def test_a_change_is_proposed_approved_and_merged_in_one_go(installation: Instal
 
 
 def test_it_is_merged_although_main_has_moved(installation: Installation, gate: RunningGate) -> None:
-    manager, plan = installation.clone("manager"), installation.plan()
+    manager = installation.clone("manager")
+    plan = installation.plan()
     with person(installation) as deployment:
         deployment.fetch()
         commit = deployment.propose(POLICY, "add: []\nremove: []\n# moved\n", "policy(initial): stop\n", f"run-{plan}")
@@ -107,7 +108,8 @@ def test_a_manager_s_commit_has_its_trailers_paths_and_pull_request(
 
 
 def test_what_a_release_named_is_found_in_the_catalogue_also_when_it_is_gone_again(installation: Installation) -> None:
-    gate, plan = installation.clone("gate"), installation.plan()
+    gate = installation.clone("gate")
+    plan = installation.plan()
     there = release_files(plan, "passing")
     with person(installation) as deployment, person(installation, CATALOGUE) as catalogue:
         before = deployment.fetch()

@@ -30,7 +30,8 @@ def paths(parameters: definition.Parameters, count: int) -> tuple[np.ndarray, li
 def encounters(parameters: definition.Parameters, first: int, second: int) -> list[tuple[float, float]]:
     """Start and stop of every event of the two, as the rule sees them."""
     times, driven = paths(parameters, max(first, second) + 1)
-    events, start = [], -1.0
+    events = []
+    start = -1.0
     for moment, value in zip(times, routes.distance(driven[first], driven[second]), strict=True):
         if start < 0 and value < parameters.start_distance_m:
             start = float(moment)
@@ -108,8 +109,10 @@ def test_perception_on_the_road_side_unit_follows_both_vehicles(
 ) -> None:
     """The bag through both services: one identity for each, the one that waits is always seen, the one that passes
     whenever it is within the range that is guaranteed."""
-    bag, tracker = open_bag(made["roadside-0"]), Tracker(TrackerSettings(STEADY, 4.0, 1.0))
-    topic, parameters = definition.cloud_topic("roadside-0"), passing.parameters
+    bag = open_bag(made["roadside-0"])
+    tracker = Tracker(TrackerSettings(STEADY, 4.0, 1.0))
+    topic = definition.cloud_topic("roadside-0")
+    parameters = passing.parameters
     identities = set()
     missed = []
     clouds = 0

@@ -367,7 +367,8 @@ def test_a_look_that_fails_is_repeated_and_its_last_failure_named() -> None:
 def test_a_ledger_has_ended_with_its_last_line(tmp_path: Path) -> None:
     name = collecting.ledger_file("run-1", "/vehicles/vehicle_00/pose")
     assert name == "ledger/run-1/__vehicles__vehicle_00__pose.jsonl"
-    volumes, file = FolderVolumes(tmp_path), tmp_path / "vehicle-00" / "bags" / name
+    volumes = FolderVolumes(tmp_path)
+    file = tmp_path / "vehicle-00" / "bags" / name
     assert not collecting.ledger_ended(volumes, "vehicle-00", name)
     file.parent.mkdir(parents=True)
     lines = [json.dumps({"sequence": n, "stamp": n, "sha256": "0" * 64}) for n in range(100)]

@@ -33,7 +33,8 @@ def test_cells_of_a_table(stream: type[io.StringIO]) -> None:
 
 def test_text_is_what_it_is_but_on_a_terminal() -> None:
     """`bundle manifests` prints what is applied, byte by byte."""
-    out, terminal = io.StringIO(), Terminal()
+    out = io.StringIO()
+    terminal = Terminal()
     for stream in (out, terminal):
         write(Table("text", (), [{}], text=f"\ta\n{STEERING}\n"), "table", stream)
     assert (out.getvalue(), terminal.getvalue()) == (f"\ta\n{STEERING}\n", f"\ta\n{SHOWN}\n")

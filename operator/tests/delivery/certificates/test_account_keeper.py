@@ -74,7 +74,8 @@ class Main:
 class Stage:
     def __init__(self) -> None:
         self.now = float(int(time.time()))  # certificates have whole seconds
-        self.objects, self.main = AccountObjects(), Main()
+        self.objects = AccountObjects()
+        self.main = Main()
         self.authority = issuing.new_authority("ours", self.now)
         self.keeper = self.another()
 

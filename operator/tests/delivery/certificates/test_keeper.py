@@ -96,7 +96,8 @@ class Numbers:
 class Stage:
     def __init__(self) -> None:
         self.now = 0.0
-        self.objects, self.issuer = Objects(), Numbers()
+        self.objects = Objects()
+        self.issuer = Numbers()
         self.keeper = self.another()
 
     def another(self, issuance: Issuance = ISSUANCE) -> CertificateKeeper:
@@ -160,9 +161,11 @@ def test_each_server_has_a_certificate_of_its_own_that_is_renewed_when_it_is_due
     assert stage.shown(DATABASE) != database
     [expiry, *_] = keeper.metrics()
     assert expiry.values == {("broker-tls",): 90 * DAY, ("database-tls",): 50 * DAY}
-    stage.now, stage.objects.away = 50 * DAY, {"certificate"}
+    stage.now = 50 * DAY
+    stage.objects.away = {"certificate"}
     keeper.step()
-    stage.objects.away, keeper.problem = set(), ""
+    stage.objects.away = set()
+    keeper.problem = ""
     assert keeper.reasons_not_ready() == ["the certificate in Secret database-tls has expired"]
 
 

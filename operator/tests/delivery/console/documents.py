@@ -6,7 +6,8 @@ from typing import Any
 
 EVENT, TRACE = "3f2a9c", "0123456789abcdef0123456789abcdef"
 TASK = "cloud-0/meeting"
-PLAN, COMMIT = "20261121-100000-1a2b3c", "1" * 40
+PLAN = "20261121-100000-1a2b3c"
+COMMIT = "1" * 40
 RECORDER, BRIDGE = "cloud-0/recorder", "vehicle-00/mqtt-bridge"
 SECOND = 1_000_000_000
 BEGAN = 1_795_250_010 * SECOND

@@ -57,7 +57,8 @@ def broker(tmp_path: Path) -> Iterator[pods.Broker]:
 
 @pytest.mark.processes
 def test_poses_come_and_a_broker_that_is_away_is_said(broker: pods.Broker, model: ReadModel) -> None:
-    poses, stopping = BrokerPoses(lambda: account(broker.port), sampler(), model, now_ms), threading.Event()
+    poses = BrokerPoses(lambda: account(broker.port), sampler(), model, now_ms)
+    stopping = threading.Event()
     running = threading.Thread(target=poses.run, args=(stopping,))
     running.start()
     try:

@@ -115,7 +115,8 @@ def test_an_agent_says_nothing_of_another_ones_events(model: ReadModel) -> None:
 
 
 def test_a_manager_that_is_away_leaves_what_it_said(model: ReadModel) -> None:
-    pages, now = Pages(), 0.0
+    pages = Pages()
+    now = 0.0
     reader = ManagerReader(model, pages, ManagerPages("manager", URL), lambda: now)
     assert reader.step()
     assert list(model.documents(kinds.PLANS)) == [given.PLAN]
@@ -152,7 +153,8 @@ def test_a_page_of_another_form_is_a_source_that_is_away(model: ReadModel, page:
 
 
 def test_events_and_rules_come_from_detectors_and_rules_go_with_them(model: ReadModel) -> None:
-    pages, there = Pages(**{EVENTS: given.edges("start")}), [DETECTOR]
+    pages = Pages(**{EVENTS: given.edges("start")})
+    there = [DETECTOR]
     reader = DetectorReader(model, pages, pages, lambda: there, lambda: 0.0)
     assert reader.step()
     assert list(model.documents(kinds.EVENTS)) == [given.EVENT]

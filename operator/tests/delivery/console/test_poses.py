@@ -58,7 +58,8 @@ def test_however_often_poses_come_two_a_second_are_kept(beat_ms: int) -> None:
 
 
 def test_agents_do_not_take_each_others_turn_and_the_last_of_a_batch_counts() -> None:
-    kept, batch = sampler(), encode_batch(1, 0, [pose(x=1), pose(x=5)])
+    kept = sampler()
+    batch = encode_batch(1, 0, [pose(x=1), pose(x=5)])
     first, second = (kept.sample(f"mqtt/vehicles/vehicle_0{n}/pose", batch, 5000) for n in (0, 1))
     assert first is not None
     assert second is not None

@@ -282,7 +282,8 @@ def test_a_provider_that_says_nothing_that_helps(document: dict[str, str], probl
 
 
 def test_sessions_end_and_of_too_many_the_oldest_goes() -> None:
-    now, words = 0.0, iter(map(str, range(10**6)))
+    now = 0.0
+    words = iter(map(str, range(10**6)))
     sessions = Sessions(lambda: now, lambda: next(words))
     first = sessions.open(Person("anna"))
     now = SESSION_SECONDS - 1

@@ -41,7 +41,8 @@ def test_keys_of_openssh_sign_and_what_openssh_signs_holds(keys: Path) -> None:
     statement.write_bytes(CHANGE.statement)
     assert run("ssh-keygen", "-Y", "sign", "-n", NAMESPACE, "-f", str(keys / "ada"), str(statement)) == 0
     armoured = (keys / "statement.sig").read_text().strip().split("\n")[1:-1]
-    theirs, ours = "".join(armoured), sign(keys / "grace", CHANGE.statement, str)[1]
+    theirs = "".join(armoured)
+    ours = sign(keys / "grace", CHANGE.statement, str)[1]
     assert holds(theirs, read_signers(signers)["ada"], CHANGE.statement)
     signed = CHANGE.signed_by("ada", theirs).signed_by("grace", ours)
     assert judge_claim(claim(signed), signers, holds).how == BREAK_GLASS

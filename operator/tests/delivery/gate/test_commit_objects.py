@@ -55,7 +55,8 @@ def send(gate: RunningGate, objects: CommitObjects, account: str = "manager") ->
 
 def a_plan(installation: Installation, manager: Clone, gate: RunningGate, name: str) -> tuple[str, str]:
     """Plan and commit on the main that the gate knows."""
-    plan, tip = installation.plan(), manager.tip()
+    plan = installation.plan()
+    tip = manager.tip()
     until(lambda: gate.gate._main.tip == tip, "main known to the gate")
     return plan, manager.commit(release_files(plan, name), message(plan), [tip])
 

@@ -139,8 +139,10 @@ def test_evidence_that_does_not_hold_is_refused(
     installation: Installation, evidence: dict[str, str], running: RunningGate, version: str
 ) -> None:
     _, expected = WRONG[version]
-    digest, named = about(version).digest, evidence[version]
-    manager, plan = installation.clone("manager"), installation.plan()
+    digest = about(version).digest
+    named = evidence[version]
+    manager = installation.clone("manager")
+    plan = installation.plan()
     text = message(plan, charts=(ChartReference(CHART, version, digest),), evidence=(named,))
     files = release_files(plan, "doubtful", version=version, digest=digest, evidence=named)
     commit = manager.commit(files, text, [manager.tip()])

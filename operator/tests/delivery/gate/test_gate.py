@@ -50,7 +50,8 @@ def wait_for_refusal(installation: Installation, number: int) -> str:
 def test_a_good_proposal_becomes_main_and_is_announced(
     installation: Installation, gate: RunningGate, controller: ApplicationSetController, manager: Clone
 ) -> None:
-    plan, before = installation.plan(), manager.tip()
+    plan = installation.plan()
+    before = manager.tip()
     commit = manager.commit(release_files(plan), message(plan), [before])
     number = installation.propose(manager, commit, plan)
     until(lambda: merged(installation, number), "merged")
@@ -163,7 +164,8 @@ def test_a_link_is_refused(installation: Installation, gate: RunningGate, manage
 
 
 def test_a_merge_commit_is_refused(installation: Installation, gate: RunningGate, manager: Clone) -> None:
-    plan, tip = installation.plan(), manager.tip()
+    plan = installation.plan()
+    tip = manager.tip()
     side = manager.commit({"x": "y"}, "side\n", [tip])
     commit = manager.commit(release_files(plan, "merge"), message(plan), [tip, side])
     text = wait_for_refusal(installation, installation.propose(manager, commit, plan))
@@ -184,7 +186,8 @@ def test_only_what_was_checked_becomes_main(
     installation: Installation, controller: ApplicationSetController, tmp_path: Path, manager: Clone
 ) -> None:
     """The author proposes anew, under the same topic, after the gate has checked and before it pushes."""
-    plan, tip = installation.plan(), manager.tip()
+    plan = installation.plan()
+    tip = manager.tip()
     good = manager.commit(release_files(plan, "checked"), message(plan), [tip])
     bad = manager.commit({"policies/merge.yaml": "automatic: []\n"}, "mine\n", [tip])
     running = start_gate(installation, controller.url, tmp_path, webhooks=False)
@@ -218,7 +221,8 @@ def test_a_forged_status_changes_nothing(
     installation: Installation, controller: ApplicationSetController, tmp_path: Path, manager: Clone
 ) -> None:
     """Statuses of an account that may write them: that a bad commit passed, and that a good one did not."""
-    plans, tip = [installation.plan(), installation.plan()], manager.tip()
+    plans = [installation.plan(), installation.plan()]
+    tip = manager.tip()
     bad = manager.commit({"README.md": "mine\n"}, message(plans[0]), [tip])
     good = manager.commit(release_files(plans[1], "in-spite"), message(plans[1]), [tip])
     numbers = [installation.propose(manager, commit, plan) for commit, plan in zip((bad, good), plans, strict=True)]
@@ -304,7 +308,8 @@ def test_what_the_catalogue_withdrew_is_refused_when_both_are_told_at_once(
 ) -> None:
     """The gate is busy while a version is withdrawn and a plan with it proposed; it reads the catalogue first."""
     pause(gate)
-    path, plan = "charts/event-detector/0.2.3.yaml", installation.plan()
+    path = "charts/event-detector/0.2.3.yaml"
+    plan = installation.plan()
     number = installation.propose(
         manager, manager.commit(release_files(plan, "late"), message(plan), [manager.tip()]), plan
     )
@@ -327,7 +332,8 @@ def test_what_is_not_proposed_any_more_is_not_merged(
 ) -> None:
     """The delivery that names a pull request comes when it is closed, or has another head."""
     pause(gate)
-    plan, before = installation.plan(), manager.tip()
+    plan = installation.plan()
+    before = manager.tip()
     first, second = (manager.commit(release_files(plan, name), message(plan), [before]) for name in ("one", "two"))
     number = installation.propose(manager, first, plan)
     if instead == "nothing":

@@ -75,7 +75,8 @@ class Main:
 class Stage:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.notes, self.main = Notes(), Main()
+        self.notes = Notes()
+        self.main = Main()
         self.key = signing_key(folder / "key", 1)
         self.keys = trusting(folder / "keys", self.key)
         self.recorder = self.started()

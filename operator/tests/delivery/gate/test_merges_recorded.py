@@ -95,7 +95,8 @@ def test_a_merge_whose_push_got_no_answer_is_recorded(
         raise UnavailableError("push: the connection was lost")
 
     monkeypatch.setattr(gate.gate._main, "push_main", unanswered)
-    manager, plan = installation.clone("manager"), installation.plan()
+    manager = installation.clone("manager")
+    plan = installation.plan()
     commit = manager.commit(release_files(plan, "unanswered"), message(plan), [manager.tip()])
     number = installation.propose(manager, commit, plan)
     until(lambda: installation.pull_request(number)["merged"], "merged")
@@ -127,7 +128,8 @@ def test_a_merged_plan_has_a_record_that_an_audit_verifies(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    manager, plan = installation.clone("manager"), installation.plan()
+    manager = installation.clone("manager")
+    plan = installation.plan()
     commit = manager.commit(release_files(plan, "audited"), message(plan), [manager.tip()])
     number = installation.propose(manager, commit, plan)
     until(lambda: installation.pull_request(number)["merged"], "merged")
@@ -135,7 +137,8 @@ def test_a_merged_plan_has_a_record_that_an_audit_verifies(
     assert recorder.written == 1
     assert manager.push(commit, REFERENCE, force=True), "records are written by the gate alone"
 
-    audit, saved = Audit(installation, tmp_path, capsys), tmp_path / "saved"
+    audit = Audit(installation, tmp_path, capsys)
+    saved = tmp_path / "saved"
     code, document = audit.run("cloud-0/audited", *audit.forge, "--save", str(saved))
     assert code == 1, "no chart of these tests stands in the registry"
     (change,) = document["changes"]

@@ -72,7 +72,8 @@ def note_writer(forge: Forge, notes: Notes) -> NoteWriter:
 
 
 def test_what_failed_is_due_again() -> None:
-    forge, notes = Forge(), Notes()
+    forge = Forge()
+    notes = Notes()
     writer = note_writer(forge, notes)
     writer.commented(1)
     forge.away = 1
@@ -88,7 +89,9 @@ def test_what_failed_is_due_again() -> None:
 def test_a_round_that_failed_is_repeated_soon(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plan_notes, "RETRY_SECONDS_FIRST", 0.01)
     monkeypatch.setattr(plan_notes, "GATHER_SECONDS", 0.0)
-    forge, notes, stopping = Forge(), Notes(), threading.Event()
+    forge = Forge()
+    notes = Notes()
+    stopping = threading.Event()
     writer = note_writer(forge, notes)
     writer.commented(1)
     forge.away = 3

@@ -82,7 +82,8 @@ def merged_as(clone: Clone, before: str, head: str, changes: Mapping[str, str | 
 def test_a_policy_waits_for_another_person_and_is_merged_as_it_was_approved(
     installation: Installation, gate: RunningGate, controller: ApplicationSetController, person: Clone
 ) -> None:
-    tip, changes = person.tip(), {"policies/initial.yaml": INITIAL.format(0)}
+    tip = person.tip()
+    changes = {"policies/initial.yaml": INITIAL.format(0)}
     commit = person.commit(changes, "Take vehicle-00 away\n\nRobotKube-Approved-By: me\n", [tip])
     number = installation.propose(person, commit, installation.plan())
     text = said(installation, number, f"Checked {commit[:12]}: nothing speaks against it.")
@@ -106,7 +107,8 @@ def test_a_policy_waits_for_another_person_and_is_merged_as_it_was_approved(
 def test_an_approval_of_an_earlier_head_does_not_count(
     installation: Installation, gate: RunningGate, person: Clone
 ) -> None:
-    tip, topic = person.tip(), installation.plan()
+    tip = person.tip()
+    topic = installation.plan()
     first = person.commit({"policies/initial.yaml": INITIAL.format(1)}, "One\n", [tip])
     changes = {"policies/initial.yaml": "add: []\nremove: []\n# two\n"}
     second = person.commit(changes, "Two\n", [tip])
@@ -168,7 +170,8 @@ def test_a_good_release_of_a_person_needs_an_approval_as_well(
     installation: Installation, gate: RunningGate, person: Clone
 ) -> None:
     """Its message pretends to be a manager's plan; on main stands the gate's own."""
-    plan, tip = installation.plan(), person.tip()
+    plan = installation.plan()
+    tip = person.tip()
     files = release_files(plan, "person")
     commit = person.commit(files, message(plan), [tip])
     number = installation.propose(person, commit, plan)
@@ -189,7 +192,8 @@ def test_a_branch_of_several_commits_behind_main_is_merged_where_main_left_its_f
     commit = person.commit(changes, "Right\n", [wrong])
     number = installation.propose(person, commit, installation.plan())
     said(installation, number, f"Checked {commit[:12]}: nothing speaks against it.")
-    manager, plan = installation.clone("manager"), installation.plan()
+    manager = installation.clone("manager")
+    plan = installation.plan()
     theirs = manager.commit(release_files(plan, "meanwhile"), message(plan), [manager.tip()])
     other = installation.propose(manager, theirs, plan)
     until(lambda: installation.pull_request(other)["merged"], "the manager's merged")
@@ -202,7 +206,8 @@ def test_a_branch_of_several_commits_behind_main_is_merged_where_main_left_its_f
 def test_where_main_changed_the_same_file_the_branch_is_updated_and_approved_anew(
     installation: Installation, gate: RunningGate, person: Clone
 ) -> None:
-    base, topic = person.tip(), installation.plan()
+    base = person.tip()
+    topic = installation.plan()
     commit = person.commit({"policies/both.yaml": "a: 1\n"}, "Mine\n", [base])
     number = installation.propose(person, commit, topic)
     said(installation, number, f"Checked {commit[:12]}: nothing speaks against it.")
@@ -262,7 +267,8 @@ def strict(installation: Installation) -> Iterator[None]:
 def test_main_says_whether_a_managers_plan_merges_by_itself(
     installation: Installation, strict: None, gate: RunningGate
 ) -> None:
-    manager, plan = installation.clone("manager"), installation.plan()
+    manager = installation.clone("manager")
+    plan = installation.plan()
     commit = manager.commit(release_files(plan, "approved"), message(plan), [manager.tip()])
     number = installation.propose(manager, commit, plan)
     text = said(installation, number, f"Waits for approval: {commit[:12]} passes the checks.")

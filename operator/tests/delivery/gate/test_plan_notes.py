@@ -30,7 +30,8 @@ def writer(installation: Installation, tmp_path: Path) -> Iterator[NoteWriter]:
 
 def merged(installation: Installation, name: str) -> tuple[int, str, str]:
     """Number, commit and plan of a proposal that the gate merged."""
-    manager, plan = installation.clone("manager"), installation.plan()
+    manager = installation.clone("manager")
+    plan = installation.plan()
     commit = manager.commit(release_files(plan, name), message(plan), [manager.tip()])
     number = installation.propose(manager, commit, plan)
     until(lambda: installation.pull_request(number)["merged"], "merged")

@@ -25,7 +25,8 @@ from robotkube.registry.charts.core.references import ChartReference
 from robotkube.registry.charts.core.values_schemas import overlay
 from tests.stages.attacks import shown
 
-ACCOUNT, TERM = "manager", 7
+ACCOUNT = "manager"
+TERM = 7
 TIP = "a" * 40
 PLAN = "20261121-100000-000001"
 OLD_PLAN = "20261121-090000-000001"

@@ -111,7 +111,8 @@ def test_what_is_otherwise_is_argo_cds_to_put_back(change: Any) -> None:
 
 def test_what_one_of_the_versions_has_is_no_excess() -> None:
     """While a release is being replaced its workload may be as either of them."""
-    whole, newer = as_served(), rendered()
+    whole = as_served()
+    newer = rendered()
     spec(whole)["containers"].append({"name": "side", "image": "b"})
     spec(newer)["containers"].append({"name": "side", "image": "b"})
     whole["metadata"]["labels"]["mine"] = "1"

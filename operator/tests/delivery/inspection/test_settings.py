@@ -16,7 +16,8 @@ from robotkube.foundation.runtime.settings_file import Credentials, read_setting
 from tests.stages.forge.catalogue_evidence import key_folder
 
 DIGEST = "sha256:" + "1" * 64
-BY_DIGEST, BY_TAG = f"forge.example/robotkube/platform@{DIGEST}", "docker.io/library/mongo:8"
+BY_DIGEST = f"forge.example/robotkube/platform@{DIGEST}"
+BY_TAG = "docker.io/library/mongo:8"
 
 
 def document(folder: Path, **changes: Any) -> dict[str, Any]:

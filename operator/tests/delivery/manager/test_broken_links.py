@@ -96,7 +96,8 @@ def test_links_that_are_broken_have_a_sentence_each() -> None:
 def test_reports_come_by_the_task_gateway(stage: Stage) -> None:
     woken: list[int] = []
     reports = LinkReports(lambda: woken.append(1))
-    channel, tasks = MemoryGatewayChannel(), MemoryTasks()
+    channel = MemoryGatewayChannel()
+    tasks = MemoryTasks()
     clock = (lambda: START_NS, lambda: 0.0)
     writer = MemoryTaskWriter(tasks)
     operators = {"vehicle-00": "vehicle-00"}

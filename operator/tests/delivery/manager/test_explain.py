@@ -141,7 +141,8 @@ def test_one_question_at_a_time_and_faults_in_words(monkeypatch: pytest.MonkeyPa
         assert answer.wait(10)
         raise UnavailableError("the forge is away")
 
-    explainer, answers = Explainer(slow, MemoryTasks()), []
+    explainer = Explainer(slow, MemoryTasks())
+    answers = []
     question = json.dumps(document()).encode()
     thread = threading.Thread(target=lambda: answers.append(explainer(question)))
     thread.start()

@@ -108,7 +108,8 @@ def test_of_several_holds_of_an_agent_the_last_to_end_counts() -> None:
 
 
 def test_changes_on_the_agent_wait_the_others_go() -> None:
-    new, old = added(release("vehicle-00", "new")), removed(release("vehicle-00", "old"))
+    new = added(release("vehicle-00", "new"))
+    old = removed(release("vehicle-00", "old"))
     more = changed(release("vehicle-00", "more"), release("vehicle-00", "more", topics=2))
     elsewhere = added(release("cloud-0", "new", topics=1))
     going, waiting = held((new, more, elsewhere, old), [DRIVING], AGENTS, TEN)
@@ -123,14 +124,16 @@ def test_they_go_on_when_the_hold_is_over() -> None:
 
 
 def test_what_leaves_a_held_agent_does_not_start_elsewhere_meanwhile() -> None:
-    leaves, arrives = removed(release("vehicle-00", size=1)), added(release("vehicle-01", size=1))
+    leaves = removed(release("vehicle-00", size=1))
+    arrives = added(release("vehicle-01", size=1))
     going, waiting = held((arrives, leaves), [DRIVING], AGENTS, TEN)
     assert going == ()
     assert waiting == {arrives.path: DRIVING, leaves.path: DRIVING}
 
 
 def test_another_release_of_the_same_name_does() -> None:
-    leaves, arrives = removed(release("vehicle-00", topics=["a"])), added(release("vehicle-01", topics=["b"]))
+    leaves = removed(release("vehicle-00", topics=["a"]))
+    arrives = added(release("vehicle-01", topics=["b"]))
     going, _ = held((arrives, leaves), [DRIVING], AGENTS, TEN)
     assert going == (arrives,)
 

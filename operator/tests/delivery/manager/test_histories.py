@@ -167,7 +167,8 @@ class Histories(RuleBasedStateMachine):
     @rule(what=st.sampled_from(["manager", "gate", "gate", "removal", "other file"]), which=st.integers(0, 20))
     def somebody_intervenes(self, what: str, which: int) -> None:
         """The manager starts anew; the gate goes or comes back; a person removes a release, or writes another file."""
-        stage, paths = self.stage, sorted(self.stage.releases())
+        stage = self.stage
+        paths = sorted(self.stage.releases())
         if what == "manager":
             stage.manager = stage.start()
         elif what == "gate":

@@ -30,7 +30,8 @@ from tests.stages.handshakes import certified, written
 from tests.stages.waiting import until
 
 NAME, SERVICE = "localhost", "manager.robotkube.svc.cluster.local"
-SECRET, TOKEN = b"shared", "shared word"
+SECRET = b"shared"
+TOKEN = "shared word"  # noqa: S105 - of this test alone
 REPOSITORY = "robotkube/deployment"
 
 

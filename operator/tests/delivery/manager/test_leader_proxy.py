@@ -20,7 +20,8 @@ SECRET = b"shared"
 
 class Process:
     def __init__(self, name: str) -> None:
-        self.leadership, self.heard = MemoryLeadership(None), list[WebhookDelivery]()
+        self.leadership = MemoryLeadership(None)
+        self.heard = list[WebhookDelivery]()
         self.requests = LeaderRequests(self.leadership)
 
         def answer(body: bytes) -> tuple[int, Mapping[str, Any]]:

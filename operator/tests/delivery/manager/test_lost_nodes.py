@@ -10,7 +10,8 @@ from robotkube.delivery.manager.adapters.kubernetes_cluster import read_node
 from robotkube.delivery.manager.core.observation import ApplicationState, PodState, judge_removed
 from robotkube.delivery.manager.core.placement.capacity import Resources
 
-AT, AT_NS = "2026-11-21T10:00:00Z", 1_795_255_200_000_000_000
+AT = "2026-11-21T10:00:00Z"
+AT_NS = 1_795_255_200_000_000_000
 GOING = ApplicationState("edge-0-recorder", deleting=True)
 
 

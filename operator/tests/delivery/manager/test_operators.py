@@ -278,8 +278,10 @@ def test_what_goes_from_a_driving_agent_waits_too(stage: Stage) -> None:
 def test_a_device_reports_it_by_message(stage: Stage) -> None:
     woken: list[str] = []
     holds = DeviceHolds(lambda: START_NS, lambda: woken.append(NODES))
-    channel, tasks = MemoryGatewayChannel(), MemoryTasks()
-    operators, writer = {"vehicle-00": "vehicle-00"}, MemoryTaskWriter(tasks)
+    channel = MemoryGatewayChannel()
+    tasks = MemoryTasks()
+    operators = {"vehicle-00": "vehicle-00"}
+    writer = MemoryTaskWriter(tasks)
     clock = (lambda: START_NS, lambda: 0.0)
     gateway = MqttTaskGateway(operators, channel, tasks, writer, stage.leadership, *clock, holds.receive)
 

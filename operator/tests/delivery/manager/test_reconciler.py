@@ -109,7 +109,8 @@ def test_a_status_is_about_the_generation_that_was_decided(stage: Stage) -> None
 def test_a_quiet_world_costs_nothing(stage: Stage) -> None:
     stage.ask()
     stage.settle()
-    pulls, patches = len(stage.forge.pulls), stage.tasks.patches
+    pulls = len(stage.forge.pulls)
+    patches = stage.tasks.patches
     stage.go(50, seconds=1.0)
     assert (len(stage.forge.pulls), stage.tasks.patches) == (pulls, patches)
     assert stage.argocd.hooks == []
@@ -363,7 +364,8 @@ def test_words_of_progress_are_written_once_in_a_second_and_the_last_ones_always
     stage.cluster.settle(stage.releases())
     stage.go(20)
     name = "vehicle-00-mqtt-bridge"
-    settled, before = stage.cluster.states[name], stage.tasks.patches
+    settled = stage.cluster.states[name]
+    before = stage.tasks.patches
     for turn in range(20):
         stage.cluster.states[name] = replace(settled, health="Degraded", conditions=(f"turn {turn}",))
         stage.go(1, wake=APPLICATIONS)

@@ -233,7 +233,8 @@ def test_an_error_that_values_caused_before_they_were_checked_is_none(
     stage: Stage, monkeypatch: pytest.MonkeyPatch, vehicles: list[str]
 ) -> None:
     """Values are composed while they are checked. An error that has another cause is not lost."""
-    plain, errors = planner.resolve, [TypeError("no number")]
+    plain = planner.resolve
+    errors = [TypeError("no number")]
 
     def resolve(wanted: Any, *arguments: Any) -> Any:
         resolution = plain(wanted, *arguments)

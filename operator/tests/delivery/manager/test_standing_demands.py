@@ -43,7 +43,8 @@ def test_a_task_without_a_lease_stands_until_it_is_deleted() -> None:
 
 
 def test_what_was_asked_is_the_same_object_until_the_document_changes() -> None:
-    reader, task = TaskReader(), document()
+    reader = TaskReader()
+    task = document()
     reader.read([task])
     asked = reader.asked()["cloud-0/meeting"]
     reader.read([{**task, "status": {"phase": "new"}}])

@@ -65,7 +65,8 @@ def test_metrics_count_time_and_show_states() -> None:
 
 
 def test_gauges_count_by_the_closed_list_of_reasons() -> None:
-    tasks, cluster = MemoryTasks(), MemoryCluster()
+    tasks = MemoryTasks()
+    cluster = MemoryCluster()
     for name, accepted, committed in (
         ("waits", ("True", "Accepted"), ("False", "Proposed")),
         ("done", ("True", "Accepted"), ("True", "Merged")),
@@ -178,7 +179,8 @@ class NoExporter(SpanExporter):
     """A collector that is away: nobody hears of it before `known`."""
 
     def __init__(self) -> None:
-        self.known, self.answers = threading.Event(), 0
+        self.known = threading.Event()
+        self.answers = 0
 
     def export(self, spans: Sequence[ReadableSpan]) -> SpanExportResult:
         assert self.known.wait(60), "the caller waited for the collector"

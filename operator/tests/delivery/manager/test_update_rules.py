@@ -277,7 +277,8 @@ def test_a_step_takes_what_it_names_and_nothing_else() -> None:
     changes, problem = moved(move, desired(beyond), desired(present), present)
     assert changes == ()
     assert "would change vehicle-01/mqtt-bridge as well" in problem
-    met, refused = Met((), ()), Refused("InsufficientResources", "no memory")
+    met = Met((), ())
+    refused = Refused("InsufficientResources", "no memory")
     changes, problem = moved(move, desired(after, task=refused), desired(present, task=met), present)
     assert changes == ()
     assert "would refuse task: no memory" in problem

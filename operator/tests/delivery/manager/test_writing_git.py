@@ -183,7 +183,8 @@ def test_a_policy_that_cannot_be_read_leaves_the_one_before(stage: Stage) -> Non
 
 def test_a_withdrawal_closes_the_proposal_that_is_not_merged_yet(stage: Stage) -> None:
     stage.forge.decide = stage.forge.leave
-    before, tip = stage.releases(), stage.repository.tip
+    before = stage.releases()
+    tip = stage.repository.tip
     key = stage.ask()
     stage.go(1)
     assert stage.forge.pulls[2].state == "open"
@@ -308,7 +309,8 @@ def test_a_process_that_waits_is_ready_when_it_could_take_over(stage: Stage) -> 
     assert stage.manager.reasons_not_ready() == []
     stage.leadership.other = None
     assert stage.manager.reasons_not_ready() == ["no process of this manager is known to lead"]
-    stage.leadership.other, stage.repository.away = "another:8080", True
+    stage.leadership.other = "another:8080"
+    stage.repository.away = True
     stage.ask()
     stage.seconds += 40
     stage.fail()

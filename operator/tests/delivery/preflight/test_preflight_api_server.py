@@ -54,7 +54,8 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
 def status_of(client: httpx.Client, path: str, item: Mapping[str, Any]) -> None:
     """Make an object that has this status."""
     client.post(path, json=dict(item)).raise_for_status()
-    where, kind = f"{path}/{item['metadata']['name']}/status", {"Content-Type": "application/merge-patch+json"}
+    where = f"{path}/{item['metadata']['name']}/status"
+    kind = {"Content-Type": "application/merge-patch+json"}
     client.patch(where, content=json.dumps({"status": item["status"]}), headers=kind).raise_for_status()
 
 

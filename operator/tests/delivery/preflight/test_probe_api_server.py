@@ -64,7 +64,8 @@ def answers(name: str, on: str) -> Mapping[str, Any]:
 @contextmanager
 def kubelets(cluster: Cluster, state: State) -> Iterator[list[str]]:
     """Says of every pod of the probe what it is like, and lets go of deleted ones; the names of all pods it saw."""
-    ending, seen = threading.Event(), []
+    ending = threading.Event()
+    seen = []
 
     def work() -> None:
         with cluster.client() as client:

@@ -29,7 +29,8 @@ def free_ports() -> tuple[int, int]:
 @pytest.fixture
 def served() -> Iterator[tuple[int, int]]:
     """The two ports of a pod that serves."""
-    ports, stopping = free_ports(), threading.Event()
+    ports = free_ports()
+    stopping = threading.Event()
     thread = threading.Thread(target=serve, args=(stopping, ports))
     thread.start()
     while any(answering(port) is False for port in ports):

@@ -160,7 +160,8 @@ def test_whatever_interrupts_it_nothing_stays(fault: BaseException) -> None:
 
 def test_what_an_interrupted_probe_cannot_remove_is_said() -> None:
     stage = Stage(Cluster())
-    stage.cluster.fault, stage.cluster.stays = KeyboardInterrupt(), True
+    stage.cluster.fault = KeyboardInterrupt()
+    stage.cluster.stays = True
     with pytest.raises(KeyboardInterrupt):
         stage.probing.run()
     [sentence] = stage.said

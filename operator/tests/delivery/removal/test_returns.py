@@ -14,7 +14,8 @@ ONE, OTHER = Maker("vehicle-00", "Deployment", "detector"), Maker("vehicle-00", 
 @pytest.mark.parametrize("random", [0.0, 0.5, 0.999])
 def test_pauses_grow_up_to_a_bound_and_never_vanish(random: float) -> None:
     returns = Returns(lambda: random, 1000)
-    now, pauses = 0.0, []
+    now = 0.0
+    pauses = []
     for _ in range(12):
         assert returns.is_due("delete", ONE, now)
         returns.note("delete", ONE, now)

@@ -53,7 +53,8 @@ def test_from_the_command_to_broker_and_machine(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    person, file = Person(installation, tmp_path), tmp_path / "machine.kubeconfig"
+    person = Person(installation, tmp_path)
+    file = tmp_path / "machine.kubeconfig"
     enroll = person.words("enroll", NEW, "--role", "vehicle", "--kubeconfig", str(manager_api.kubeconfig))
     enroll += ["--file", str(file), "--server", "https://cluster.example:6443"]
     assert rights.connect(NEW).refused == NOT_AUTHORISED

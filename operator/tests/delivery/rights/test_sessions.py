@@ -91,7 +91,8 @@ def test_the_brokers_log_names_no_id(tmp_path: Path) -> None:
     settings = broker.folder / "mosquitto.conf"
     settings.write_text(settings.read_text().replace("max_queued_messages 50000", "max_queued_messages 1"))
     broker.start(opened=True)
-    topic, secret = "mqtt/agents/vehicle_00/plan", client_id("plan", password(OWNER))
+    topic = "mqtt/agents/vehicle_00/plan"
+    secret = client_id("plan", password(OWNER))
     owner = Connection(broker.port, OWNER, password(OWNER), client_id=secret)
     assert owner.subscribe(topic) == 1
     owner.drop()

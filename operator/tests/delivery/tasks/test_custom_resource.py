@@ -126,7 +126,8 @@ def test_people_see_reason_and_priority(api: Api) -> None:
     )
     assert definition["shortNames"] == ["task", "tasks", "td"]
     header = {"Accept": "application/json;as=Table;v=v1;g=meta.k8s.io"}
-    path, settings = f"{TASKS}/shown", ["BearerToken"]
+    path = f"{TASKS}/shown"
+    settings = ["BearerToken"]
     answer = api.client.call_api(path, "GET", header_params=header, auth_settings=settings, _preload_content=False)
     table = json.loads(answer.data)
     row = dict(zip([c["name"] for c in table["columnDefinitions"]], table["rows"][0]["cells"], strict=True))

@@ -78,7 +78,8 @@ class Managers:
         self.pods: list[Pod] = []
 
     def start(self, point: str = "") -> Pod:
-        folder, port = self._folder / f"pod-{len(self.pods)}", free_port()
+        folder = self._folder / f"pod-{len(self.pods)}"
+        port = free_port()
         (folder / "keys").mkdir(parents=True)
         account = self._broker.secret("manager", "127.0.0.1") / "broker"
         outside = Outside(NOWHERE, "x", "s", folder / "keys", "oci://127.0.0.1:1/verified", NOWHERE)

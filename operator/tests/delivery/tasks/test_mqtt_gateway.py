@@ -35,7 +35,8 @@ from tests.stages.examples import EXAMPLES
 from tests.stages.random_json import mistaken
 
 START_NS = 1795250000_000000000
-RANDOM_MESSAGES, THOROUGH_MESSAGES = max(EXAMPLES, 60), 5000  # enough for every outcome
+RANDOM_MESSAGES = max(EXAMPLES, 60)  # enough for every outcome
+THOROUGH_MESSAGES = 5000
 
 
 class Stage:

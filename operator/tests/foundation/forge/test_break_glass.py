@@ -275,7 +275,8 @@ def test_only_registered_people_push_it(own_installation: Installation, people: 
 
 def test_a_signed_commit_gets_in_by_no_other_way(own_installation: Installation, people: People, person: Clone) -> None:
     """The pages and the API of the forge do not take it: a branch or a pull request with it is not merged."""
-    tip, commit = person.tip(), glass(person, people)
+    tip = person.tip()
+    commit = glass(person, people)
     number = own_installation.propose(person, commit, own_installation.plan())
     client = own_installation.client("operator-team")
     for style in ("fast-forward-only", "rebase", "merge", "manually-merged"):
@@ -324,7 +325,8 @@ def test_two_people_do_it_by_command(
     capfd: pytest.CaptureFixture[str],
 ) -> None:
     commit = person.commit({"policies/edits.yaml": "edits: revert\n"}, "Take the edits back\n", [person.tip()])
-    file, where = str(tmp_path / "change.yaml"), ("--repository", person.repository.path)
+    file = str(tmp_path / "change.yaml")
+    where = ("--repository", person.repository.path)
     forge = forge_options(own_installation, tmp_path, "operator-team")
 
     def sign_as(name: str, key: str, *more: str) -> int:
@@ -426,7 +428,8 @@ def test_it_stands_out_until_a_checked_commit_has_replaced_it_or_accepted_it(
             return running.gate.statistics.unchecked.break_glass_files
 
         before = files()
-        manager, gone = own_installation.clone("manager"), own_installation.plan()
+        manager = own_installation.clone("manager")
+        gone = own_installation.plan()
         removal = manager.commit(dict.fromkeys(release), message(gone, verb="withdraw"), [manager.tip()])
         number = own_installation.propose(manager, removal, gone)
         until(lambda: own_installation.pull_request(number)["merged"], "the manager's plan is merged")

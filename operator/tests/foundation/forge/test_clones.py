@@ -105,7 +105,8 @@ def test_commits_that_touch_a_path_or_say_a_word(stage: Stage) -> None:
 
 
 def test_a_long_history_is_looked_through_at_once(stage: Stage) -> None:
-    tree, commit = {"releases": {"a": "1"}}, ""
+    tree = {"releases": {"a": "1"}}
+    commit = ""
     for _ in range(2000):
         commit = stage.commit(tree, *([commit] if commit else []))  # type: ignore[arg-type]
     stage.clone.moved_to(commit)

@@ -128,7 +128,8 @@ def test_what_cannot_be_read_is_refused_in_words(body: bytes, problem: str) -> N
 
 
 def test_the_gate_keeps_a_bounded_number_of_each_and_gives_it_its_own_once() -> None:
-    kept, first = PendingObjects(), CommitObjects("1", ())
+    kept = PendingObjects()
+    first = CommitObjects("1", ())
     kept.keep("north", first)
     for number in range(KEPT_MAX + 1):
         kept.keep("south", CommitObjects(str(number), ()))

@@ -29,7 +29,8 @@ RESERVED = ("refs/notes/robotkube", "refs/notes/commits", "refs/drafts/main", "r
     ],
 )
 def test_the_manager_pushes_nothing(installation: Installation, reference: str, force: bool) -> None:
-    manager, plan = installation.clone("manager"), installation.plan()
+    manager = installation.clone("manager")
+    plan = installation.plan()
     commit = manager.commit(release_files(plan, "pushed"), message(plan), [manager.tip()])
     tip = manager.tip()
     assert manager.push(commit, reference, force=force) != ""
@@ -58,7 +59,8 @@ def test_the_manager_has_no_other_way(
 
 
 def test_the_manager_does_not_merge(installation: Installation) -> None:
-    manager, plan = installation.clone("manager"), installation.plan()
+    manager = installation.clone("manager")
+    plan = installation.plan()
     commit = manager.commit(release_files(plan, "merged"), message(plan), [manager.tip()])
     number = installation.propose(manager, commit, plan)
     for way in ("rebase", "fast-forward-only", "manually-merged"):
@@ -80,7 +82,8 @@ def test_the_gate_does_not_force_main(installation: Installation) -> None:
 
 @pytest.mark.parametrize("account", ["manager", "argocd", "publisher"])
 def test_only_the_gate_pushes_main_of_the_deployment_repository(installation: Installation, account: str) -> None:
-    gate, plan = installation.clone("gate"), installation.plan()
+    gate = installation.clone("gate")
+    plan = installation.plan()
     tip = gate.tip()
     other = installation.clone(account) if account != "publisher" else gate
     if account == "publisher":  # it cannot even read it

@@ -36,10 +36,12 @@ class Stage:
     """A bridge whose clock and settings are the test's."""
 
     def __init__(self, movable: bool) -> None:
-        self.now, self.reading = 100.0, Reading()
+        self.now = 100.0
+        self.reading = Reading()
         self.fencing = Fencing("edge-0", movable, lambda: self.now)
         self.fencing.watch(self.reading)
-        self.network, self.channels = Network(), dict[str, Channel]()
+        self.network = Network()
+        self.channels = dict[str, Channel]()
         sender = SendingSession(42, time.time_ns, lambda name: "")
         self.bridge = Bridge(self.network, self.channel, sender, lambda event, **fields: None, self.fencing)
         self.configure(POSE)
@@ -57,7 +59,8 @@ class Stage:
     def read(self, settings: Any = MOVABLE) -> None:
         """The API server answers."""
         self.fencing.observe(settings)
-        self.reading.read_at, self.reading.interrupted_at = self.now, None
+        self.reading.read_at = self.now
+        self.reading.interrupted_at = None
 
     def turn(self, *messages: bytes) -> None:
         """What the process's loop does."""
@@ -180,7 +183,8 @@ def test_a_long_gap_alone_stops_what_could_be_taken_over_and_nothing_else() -> N
 
 
 def test_it_begins_with_reading_and_a_removal_that_it_hears_of_at_once_ends_it_in_good_order() -> None:
-    reading, now = Reading(), [0.0]
+    reading = Reading()
+    now = [0.0]
     fencing = Fencing("edge-0", True, lambda: now[0])
     assert fencing.fenced
     fencing.watch(reading)
@@ -234,7 +238,8 @@ def test_a_process_that_is_started_anew_after_its_release_went_does_nothing(tmp_
     (tmp_path / "movable").write_text("true")
     pod = PodSettings.from_environment({"ROBOTKUBE_CONFIG": str(tmp_path / "config.yaml"), "NODE_NAME": "edge-0"})
     assert (pod.movable, pod.node, pod.placed_node) == (True, "edge-0", "")
-    process, fencing = Process("worker", 60.0), Fencing(pod.node, pod.movable)
+    process = Process("worker", 60.0)
+    fencing = Fencing(pod.node, pod.movable)
     stopped: list[bool] = []
     process.stop = lambda: stopped.append(True)  # type: ignore[method-assign]
     until_removed(process, fencing, lambda data: None)(None)

@@ -67,7 +67,8 @@ def common(releases: set[str]) -> set[str]:
 def test_a_declared_vehicle_joins_drives_and_goes(platform: Platform, stage: Stage, tmp_path: Path) -> None:
     with declared(platform, [{"name": AGENT, "role": "vehicle"}], tmp_path):
         eventually("the platform has settled", platform.settled)
-        before, neighbour = set(stage.releases()), stage.await_running(NEIGHBOUR)[NEIGHBOUR]
+        before = set(stage.releases())
+        neighbour = stage.await_running(NEIGHBOUR)[NEIGHBOUR]
         assert not any(release.startswith(f"{AGENT}/") for release in before)
         with switched_on(platform):
             bridge = stage.await_running(BRIDGE)[BRIDGE]

@@ -148,7 +148,8 @@ def test_a_vehicle_enrolled_in_mid_run_takes_part_in_the_use_case(
             stage.await_running(f"{OTHER}/bag-player", f"{OTHER}/mqtt-bridge")
             assert not any(release.startswith(f"{NEW}/") for release in stage.releases())
             with driven(platform):
-                before, pods = starts(platform), stage.await_running(f"{OTHER}/mqtt-bridge")
+                before = starts(platform)
+                pods = stage.await_running(f"{OTHER}/mqtt-bridge")
                 person.proposes(capsys, "enroll", NEW, "--role", "vehicle")
                 platform.provider.start_node(machine)
                 stage.await_running(f"{NEW}/bag-player", f"{NEW}/mqtt-bridge")

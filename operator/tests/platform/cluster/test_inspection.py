@@ -25,7 +25,8 @@ from tests.stages.platform.running_platform import Platform, eventually
 from tests.stages.platform.runtime_calls import PodSandbox, remove_container, start_container
 
 AGENT, OTHER_AGENT, RELEASE = "vehicle-02", "vehicle-01", "mqtt-bridge"
-KUBELET, RELEASES = f"kubelet.{AGENT}", "releases"
+KUBELET = f"kubelet.{AGENT}"
+RELEASES = "releases"
 NAMED_SECONDS_MAX = 15
 GONE_SECONDS_MAX = 30  # a Deployment without its sidecar again has its pod replaced
 SETTLED_SECONDS_MAX = 120  # kubelets that tests before stopped are asked again after 30 s

@@ -71,7 +71,8 @@ class Aged:
         return {item["metadata"]["uid"]: item["spec"] for item in items}
 
     def _releases(self) -> dict[str, str]:
-        forge, person = self.platform.access.forge(), self.platform.scenario.story.person
+        forge = self.platform.access.forge()
+        person = self.platform.scenario.story.person
         with Deployment(forge, person, self.platform.password(person)) as deployment:
             deployment.fetch()
             return specification_digests(deployment.releases())
@@ -187,7 +188,8 @@ def recorders(platform: Platform) -> list[str]:
 
 @pytest.mark.parametrize("moment", ["", "Accepted", "Committed"], ids=["created", "accepted", "committed"])
 def test_a_manager_killed_in_mid_plan_loses_nothing(aged: Aged, moment: str) -> None:
-    platform, name = aged.platform, f"killed-{moment.lower() or 'created'}"
+    platform = aged.platform
+    name = f"killed-{moment.lower() or 'created'}"
     demand = task(name, "pose-point-cloud-recording", {"vehicles": ["vehicle-00", "vehicle-01"]})
     platform.kubectl("apply", "-f", "-", text=demand)
     if moment:
@@ -202,7 +204,8 @@ def test_a_manager_killed_in_mid_plan_loses_nothing(aged: Aged, moment: str) -> 
 
 
 def test_uninstall_ends_and_says_what_stays(aged: Aged) -> None:
-    platform, began = aged.platform, time.monotonic()
+    platform = aged.platform
+    began = time.monotonic()
     notes = platform.installer.helm("get", "notes", "robotkube", "-n", "robotkube")
     output = platform.installer.helm("uninstall", "robotkube", "-n", "robotkube", seconds=UNINSTALL_SECONDS_MAX)
     assert time.monotonic() - began < UNINSTALL_SECONDS_MAX
@@ -232,7 +235,8 @@ def test_installed_again_it_goes_on_with_what_was_there(aged: Aged) -> None:
     wanted = {name.replace("/", "-") for name in aged.seen["releases"]}
     there = aged.platform.access.applications
     eventually("all releases are back", lambda: set(there()) == wanted and aged.platform.settled(), PLAN_SECONDS_MAX)
-    now, seen = aged.holds(), dict(aged.seen)
+    now = aged.holds()
+    seen = dict(aged.seen)
     for held in (now, seen):  # the forge's Service is another one, and its addresses are in the certificate
         held["secrets"] = {name: data for name, data in held["secrets"].items() if name != FORGES_CERTIFICATE}
     for what in now:

@@ -44,7 +44,8 @@ def watching(platform: Platform, story: Story, tmp_path_factory: pytest.TempPath
     command = [program("helm"), "template", "robotkube", str(CHART), "-n", PLATFORM, "-f", str(values)]
     shown = prometheus_server.rendered([*command, "-s", "templates/monitoring/podmonitors.yaml"])
     [rule] = prometheus_server.rendered([*command, "-s", "templates/monitoring/prometheusrule.yaml"])
-    binary, kubeconfig = prometheus.ensure() / "prometheus", platform.installer.kubeconfig
+    binary = prometheus.ensure() / "prometheus"
+    kubeconfig = platform.installer.kubeconfig
     with prometheus_server.running(binary, folder, kubeconfig, shown, rule) as server:
         eventually("Prometheus answers", server.ready)
         yield server

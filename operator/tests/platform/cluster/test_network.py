@@ -43,7 +43,8 @@ class Attached:
 
 def attached(platform: Platform) -> dict[str, Attached]:
     """The pods that have an address of their node now, by key."""
-    api, folders = platform.provider.api(), platform.provider.folders
+    api = platform.provider.api()
+    folders = platform.provider.folders
     labels = {one["metadata"]["name"]: one["metadata"].get("labels") or {} for one in api.get(NAMESPACES)["items"]}
     pods = dict(known_pod(one) for one in api.get("/api/v1/pods")["items"])
     namespaces: dict[str, Attached] = {}

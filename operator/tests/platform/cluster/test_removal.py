@@ -73,7 +73,8 @@ def own_container(platform: Platform) -> Object:
 
 
 def test_a_foreign_pod_is_gone_and_the_agents_own_stay(platform: Platform) -> None:
-    before, own = pods(platform), own_container(platform)
+    before = pods(platform)
+    own = own_container(platform)
     template = platform.deployment(AGENT, RELEASE)["spec"]["template"]["spec"]
     container = {key: own[key] for key in ("image", "securityContext")}
     spec = {
@@ -91,7 +92,8 @@ def test_a_foreign_pod_is_gone_and_the_agents_own_stay(platform: Platform) -> No
 
 
 def test_a_changed_deployment_is_as_its_chart_renders_it_again(platform: Platform) -> None:
-    before, running = platform.deployment(AGENT, RELEASE), pods(platform)
+    before = platform.deployment(AGENT, RELEASE)
+    running = pods(platform)
     sidecar = {**{key: own_container(platform)[key] for key in ("image", "securityContext")}, "name": "sidecar"}
     steps = [
         {"op": "add", "path": "/spec/template/spec/containers/-", "value": {**sidecar, "command": SLEEPING}},

@@ -19,7 +19,8 @@ from tests.stages.platform.running_platform import eventually
 from tests.stages.platform.table_one import BRIDGE, Stage, pose
 
 AGENT, OTHER = "vehicle-02", "vehicle-01"
-RELEASE, TOPIC = f"{AGENT}/event-detector", pose_topic(AGENT)
+RELEASE = f"{AGENT}/event-detector"
+TOPIC = pose_topic(AGENT)
 ACTIVE_SECONDS_MAX = 5.0
 APPLIED_SECONDS_MAX = 60.0
 MANY, SHARE = 20, 0.95

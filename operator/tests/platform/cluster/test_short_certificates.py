@@ -89,7 +89,8 @@ def played(pytestconfig: pytest.Config, no_demo: None, tmp_path_factory: pytest.
             with spoken(pytestconfig):
                 install(platform, short_lived(tmp_path_factory.mktemp("short-lived")))
                 publish.publish(platform.installer.kubeconfig)
-                before, given_before = lives(platform), given(platform)
+                before = lives(platform)
+                given_before = given(platform)
                 story = play(platform, SCENARIO, "", tmp_path_factory.mktemp("story"), RUN_SECONDS_MAX)
             yield Played(story, before, lives(platform), given_before, given(platform))
 

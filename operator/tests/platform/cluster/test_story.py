@@ -110,7 +110,8 @@ def test_every_pod_runs_as_an_ordinary_user_on_a_read_only_root(platform: Platfo
 
 def problems(pod: Mapping[str, Any]) -> list[str]:
     """What a pod's containers may that they should not."""
-    general, broken = pod["spec"].get("securityContext", {}), []
+    general = pod["spec"].get("securityContext", {})
+    broken = []
     for container in [*pod["spec"]["containers"], *pod["spec"].get("initContainers", [])]:
         own = container.get("securityContext", {})
         wanted = {

@@ -27,7 +27,8 @@ from tests.stages.platform.running_platform import eventually
 from tests.stages.platform.table_one import BRIDGE, Stage
 
 CHART = "object-detection"
-ROADSIDE, TRACKING = f"roadside-0/{CHART}-roadside-0", "roadside-0/object-tracking-roadside-0"
+ROADSIDE = f"roadside-0/{CHART}-roadside-0"
+TRACKING = "roadside-0/object-tracking-roadside-0"
 VEHICLES = ("vehicle-00", "vehicle-01")
 DETECTIONS = {ROADSIDE, *(f"{vehicle}/{CHART}-{vehicle}" for vehicle in VEHICLES)}
 OLD, NEW = "0.1.2", "0.2.3"

@@ -66,7 +66,8 @@ def test_it_is_ready_when_the_list_is_that_of_main_as_it_was_seen_last() -> None
     stage.followed.refused, stage.followed.away = "", "the forge is away"
     assert not stage.follower.step()
     assert stage.reasons == ["main of the catalogue was not read yet: the forge is away"]
-    stage.followed.away, stage.followed.main = "", FIRST
+    stage.followed.away = ""
+    stage.followed.main = FIRST
     assert stage.follower.step()
     assert stage.reasons == []
     assert (stage.metric("listed", "charts"), stage.metric("listed", "images"), stage.metric("behind")) == (1, 2, 0)
@@ -92,7 +93,8 @@ def test_a_list_that_is_known_to_be_older_than_main_is_not_ready() -> None:
     stage = Stage()
     stage.followed.main = FIRST
     stage.follower.step()
-    stage.followed.away, stage.followed.main = "the forge is away", SECOND
+    stage.followed.away = "the forge is away"
+    stage.followed.main = SECOND
     stage.follower.wake(SECOND)
     stage.follower.step()
     assert stage.reasons == [f"the list is that of {FIRST[:12]}, main is at {SECOND[:12]}: the forge is away"]
@@ -100,7 +102,8 @@ def test_a_list_that_is_known_to_be_older_than_main_is_not_ready() -> None:
     stage.followed.away = ""
     stage.follower.step()
     assert stage.reasons == []
-    stage.followed.tip, stage.followed.refused = FIRST, "too many entries"
+    stage.followed.tip = FIRST
+    stage.followed.refused = "too many entries"
     stage.follower.step()
     assert stage.reasons == [f"the list is that of {SECOND[:12]}, main is at {FIRST[:12]}: too many entries"]
 

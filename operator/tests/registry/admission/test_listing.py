@@ -214,7 +214,8 @@ class Place:
 
 def test_policies_follow_the_list_and_stay_while_the_forge_is_away(key: KeyFile, tmp_path: Path) -> None:
     stage = Stage(key, tmp_path)
-    place, agents = Place(), ["vehicle-00"]
+    place = Place()
+    agents = ["vehicle-00"]
     following = Following(
         stage.listing,
         place,
@@ -238,7 +239,9 @@ def test_policies_follow_the_list_and_stay_while_the_forge_is_away(key: KeyFile,
 
 def test_a_process_that_starts_again_goes_on_with_the_last_list(key: KeyFile, tmp_path: Path) -> None:
     """Also when it cannot read the catalogue yet: nothing that runs is stranded meanwhile."""
-    stage, place, memory = Stage(key, tmp_path / "keys", catalogue(version(key))), Place(), ListingFile(tmp_path / "l")
+    stage = Stage(key, tmp_path / "keys", catalogue(version(key)))
+    place = Place()
+    memory = ListingFile(tmp_path / "l")
     around = Surroundings(Domain(("vehicle-00",), (), DOMAIN.charts), (digest(2),))
     Following(stage.listing, place, lambda: around, memory).step()
     whole = place.documents

@@ -179,7 +179,8 @@ def test_what_could_not_be_written_is_written_with_the_next_attempt(stage: Stage
 
 def test_a_removal_that_failed_is_tried_again(stage: Stage) -> None:
     stage.place.write(documents())
-    path, without = f"{POLICIES}/robotkube-tests", documents(replace(DOMAIN, tests=()))
+    path = f"{POLICIES}/robotkube-tests"
+    without = documents(replace(DOMAIN, tests=()))
     stage.server.refused = {path}
     with pytest.raises(InputError, match=r"DELETE .*: 403"):
         stage.place.write(without)

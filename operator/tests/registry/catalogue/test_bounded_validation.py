@@ -77,7 +77,8 @@ def test_of_the_tools_it_is_an_error(schemas: BoundedSchemas, little: tuple[dict
 
 def test_calls_that_are_sent_ahead_are_answered_each_by_itself() -> None:
     """Also behind one that took too much, and when they or their answers are more than a pipe holds."""
-    process, began = BoundedProcess(COMMAND), processor_seconds()
+    process = BoundedProcess(COMMAND)
+    began = processor_seconds()
     long = {"name": ["x" * 10_000] * 5}
     values = [{"name": "abc"}, {"name": 3}, long, VALUE, {"name": "ABC"}, *[long] * 20, *[{"name": "abc"}] * 100]
     asked = [process.ask("validate", SLOW if value is VALUE else GOOD, value, "values") for value in values]

@@ -278,7 +278,8 @@ def test_the_highest_allowed_version_is_taken_and_every_candidate_has_its_reason
     for version, state in states.items():
         document = load(CHARTS[0])
         document["spec"].pop("replaces", None)
-        document["spec"]["version"], document["status"] = version, {**STATUS, "state": state}
+        document["spec"]["version"] = version
+        document["status"] = {**STATUS, "state": state}
         files[f"charts/{CHARTS[0].parent.name}/{version}.yaml"] = write_mapping(document)
     wanted = ChartRequirement(CHARTS[0].parent.name, ">=0.1.0 <0.2.0")
     selected, reasons = read_catalogue({**files, "policies/release.yaml": "assurance: none\n"}).select(wanted)

@@ -19,7 +19,8 @@ TOOLS = Tools(TEMPLATES.render, TEMPLATES.references, check_schema, validate, vi
 QUALITY = {"channel": "telemetry", "reliability": "reliable", "durability": "volatile", "depth": 1}
 NAMED = {"type": "string", "pattern": "^[a-z]+-[0-9]+$"}
 FLEET = {"type": "array", "items": NAMED, "minItems": 1}
-PAIR, SHARED = {"a": NAMED, "b": NAMED}, "/state"
+PAIR = {"a": NAMED, "b": NAMED}
+SHARED = "/state"
 MEDIUM = {"medium": "mqtt"}
 EVERY = {"vehicle": "{{ parameters.fleet }}"}
 OTHERS = "parameters.fleet[0] if vehicle == parameters.fleet[-1] else parameters.fleet[-1]"

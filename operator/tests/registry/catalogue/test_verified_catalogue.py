@@ -49,7 +49,8 @@ class Counting:
     """A verifier that counts what it is asked to verify."""
 
     def __init__(self, verifier: TrustedKeys) -> None:
-        self._verifier, self.verified = verifier, 0
+        self._verifier = verifier
+        self.verified = 0
 
     def trusted(self) -> frozenset[str]:
         return self._verifier.trusted()
@@ -194,7 +195,8 @@ def test_files_that_nobody_asks_for_change_nothing(key: KeyFile, trusted: Truste
 def test_a_second_key_keeps_old_evidence_and_removing_the_old_key_makes_it_doubtful(
     tmp_path: Path, key: KeyFile, trusted: TrustedKeys
 ) -> None:
-    second, newer = signing_key(tmp_path / "second"), artefact("app", "0.2.0")
+    second = signing_key(tmp_path / "second")
+    newer = artefact("app", "0.2.0")
     repository = Repository()
     repository.commits.append(catalogue(published(key, APP), published(second, newer)))
     reading = AssuredCatalogue(repository, trusted)
@@ -212,7 +214,8 @@ def test_a_second_key_keeps_old_evidence_and_removing_the_old_key_makes_it_doubt
 
 
 def test_what_was_verified_is_not_verified_again(key: KeyFile, trusted: TrustedKeys) -> None:
-    verifier, repository = Counting(trusted), Repository()
+    verifier = Counting(trusted)
+    repository = Repository()
     assured = AssuredCatalogue(repository, verifier)
     repository.commits.append(catalogue(published(key, APP)))
     assured.read()

@@ -50,7 +50,8 @@ def packed(folder: Path) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_it_renders_what_helm_renders(renderer: ChartRenderer, name: str, tmp_path: Path) -> None:
-    files, values = packed(CHARTS / "apps" / name), yaml.safe_load((PROFILES / f"{name}.yaml").read_text())
+    files = packed(CHARTS / "apps" / name)
+    values = yaml.safe_load((PROFILES / f"{name}.yaml").read_text())
     values = {**values, "global": {"plan": "20261121-100000-000001"}}
     by_helm = HelmProgram(program("helm"), tmp_path).render(files, values, "one", "vehicle-00")
     by_renderer = renderer.render(files, values, "one", "vehicle-00")
@@ -60,7 +61,8 @@ def test_it_renders_what_helm_renders(renderer: ChartRenderer, name: str, tmp_pa
 
 
 def test_an_image_in_values_is_what_would_run(renderer: ChartRenderer, tmp_path: Path) -> None:
-    files, values = packed(chart_with_image_value(tmp_path)), {"placement": {"agent": "vehicle-00"}}
+    files = packed(chart_with_image_value(tmp_path))
+    values = {"placement": {"agent": "vehicle-00"}}
     assert pod_images(renderer.render(files, values, "one", "vehicle-00")) == (IMAGE,)
     values = {**values, "image": {"reference": FOREIGN}}
     assert pod_images(renderer.render(files, values, "one", "vehicle-00")) == (FOREIGN,)

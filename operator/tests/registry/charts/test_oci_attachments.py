@@ -152,7 +152,8 @@ def test_a_chart_is_copied_with_the_named_attachments_and_no_others(
 ) -> None:
     ours = [attach(registry, staging, name) for name in ("static", "summary")]
     attach(registry, staging, "by-a-publisher")
-    target, digest = f"{organisations[1]}/app", chart().digest
+    target = f"{organisations[1]}/app"
+    digest = chart().digest
     registry.copy_chart(staging, target, digest, TAG, ours)
     registry.copy_chart(staging, target, digest, TAG, ours)
     assert registry.manifest_digest(target, TAG) == digest
@@ -166,7 +167,8 @@ def test_a_copy_adds_to_what_is_attached_there(
     registry: OciRegistry, staging: str, organisations: tuple[str, str]
 ) -> None:
     first = attach(registry, staging, "static")
-    target, digest = f"{organisations[1]}/app", chart().digest
+    target = f"{organisations[1]}/app"
+    digest = chart().digest
     registry.copy_chart(staging, target, digest, TAG, [first])
     second = attach(registry, staging, "static-under-the-next-policy")
     registry.copy_chart(staging, target, digest, TAG, [second])

@@ -50,7 +50,8 @@ def images_of(registry: Registry, program: Program) -> ReleaseImages:
 
 
 def test_a_chart_is_pulled_by_digest_and_rendered_as_it_is_deployed() -> None:
-    registry, program = Registry(), Program()
+    registry = Registry()
+    program = Program()
     assert images_of(registry, program)(CHART, {"image": "x"}, "plan-1", "app-1", "cloud-0") == ("x",)
     files, values, release, namespace = program.asked[0]
     assert files == {"Chart.yaml": f"verified/app@{CHART.digest}".encode()}
@@ -59,7 +60,8 @@ def test_a_chart_is_pulled_by_digest_and_rendered_as_it_is_deployed() -> None:
 
 
 def test_files_are_kept_and_renderings_are_not() -> None:
-    registry, program = Registry(), Program()
+    registry = Registry()
+    program = Program()
     images = images_of(registry, program)
     assert images(CHART, {"image": "x"}, "p", "a", "n") == ("x",)
     assert images(CHART, {"image": "y"}, "p", "a", "n") == ("y",)
@@ -71,7 +73,8 @@ def test_files_are_kept_and_renderings_are_not() -> None:
 
 
 def test_what_cannot_be_rendered_or_pulled_is_said_and_not_remembered() -> None:
-    registry, program = Registry(), Program()
+    registry = Registry()
+    program = Program()
     images = images_of(registry, program)
     away = ChartReference("app", "0.1.0", "sha256:" + "9" * 64)
     with pytest.raises(UnavailableError):
@@ -82,7 +85,8 @@ def test_what_cannot_be_rendered_or_pulled_is_said_and_not_remembered() -> None:
 
 
 def test_a_chart_comes_from_the_first_place_that_has_it() -> None:
-    registry, program = Registry(), Program()
+    registry = Registry()
+    program = Program()
     objects = ReleaseObjects(registry, ("verified", "staging"), program)  # type: ignore[arg-type]  # as above
     assert objects(CHART, {"image": "x"}, "p", "a", "n")[0]["kind"] == "Pod"
     registry.absent = {"verified/other"}

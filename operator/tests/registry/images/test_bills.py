@@ -58,7 +58,8 @@ def layer(files: Mapping[str, bytes]) -> bytes:
     with tarfile.open(fileobj=raw, mode="w") as tar:
         for path, content in files.items():
             info = tarfile.TarInfo(path)
-            info.size, info.mode = len(content), 0o755 if "bin/" in path else 0o644
+            info.size = len(content)
+            info.mode = 0o755 if "bin/" in path else 0o644
             tar.addfile(info, io.BytesIO(content))
     return raw.getvalue()
 

@@ -101,7 +101,8 @@ def test_an_image_on_a_base_of_its_own_cannot_have_them(
 @pytest.mark.processes
 def test_compiled_messages_are_read_as_they_were_written(tmp_path: Path) -> None:
     """With the compiler and the wheels of this machine: what the build stage does with those of the image."""
-    folder, made = write(tmp_path, MESSAGES), tmp_path / "made"
+    folder = write(tmp_path, MESSAGES)
+    made = tmp_path / "made"
     script = [sys.executable, str(SOURCES / "compile_messages.py")]
     subprocess.run([*script, "compile", str(folder / "msgs"), str(made)], check=True, capture_output=True, timeout=120)
     libraries = f"{made}/lib:{Path(sys.prefix) / 'lib'}:{os.environ.get('LD_LIBRARY_PATH', '')}"

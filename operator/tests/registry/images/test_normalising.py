@@ -28,12 +28,14 @@ def tar_of(entries: list[Entry], mtime: int = 0, prefix: str = "") -> bytes:
     with tarfile.open(fileobj=raw, mode="w") as tar:
         for name, content, more in entries:
             info = tarfile.TarInfo(prefix + name)
-            info.mtime, info.uname = mtime, f"user{mtime}"
+            info.mtime = mtime
+            info.uname = f"user{mtime}"
             info.mode, info.uid, info.gid = more.get("mode", 0o644), more.get("uid", 0), more.get("gid", 0)
             if content is None:
                 info.type = tarfile.DIRTYPE
             elif isinstance(content, str):
-                info.type, info.linkname = (tarfile.LNKTYPE if more.get("hard") else tarfile.SYMTYPE), content
+                info.type = tarfile.LNKTYPE if more.get("hard") else tarfile.SYMTYPE
+                info.linkname = content
             data = content if isinstance(content, bytes) else b""
             info.size = len(data)
             tar.addfile(info, io.BytesIO(data))

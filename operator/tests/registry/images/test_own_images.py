@@ -111,7 +111,8 @@ class Archived:
 def test_an_image_stands_on_a_base_from_the_registry(tmp_path: Path) -> None:
     digest = normal_of(tmp_path / "ros", made_layer(FILES))
     reference = ImageReference("forge.invalid:3000", "robotkube/ros", digest)
-    tag, engine = local_tag(reference), choose_engine(tmp_path / "engine", "buildah")
+    tag = local_tag(reference)
+    engine = choose_engine(tmp_path / "engine", "buildah")
     assert not engine.has(tag)
     fetch_base(Archived(tmp_path / "ros.tar"), reference, "linux/amd64", tmp_path / "base.tar")
     engine.load(tmp_path / "base.tar", tag)

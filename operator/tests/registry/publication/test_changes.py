@@ -63,7 +63,8 @@ def test_a_policy_waits_for_another_person_and_is_merged_with_who_approved_it(st
 
 
 def test_somebody_against_it_and_another_head_hold_it(stage: PublicationStage) -> None:
-    tip, number = stage.catalogue.tip, propose(stage, dict(OPEN))
+    tip = stage.catalogue.tip
+    number = propose(stage, dict(OPEN))
     approve(stage, number)
     approve(stage, number, "third", approved=False)
     rounds(stage)
@@ -103,7 +104,8 @@ REFUSED = {
 def test_what_is_refused_stays_refused_whoever_approves_it(stage: PublicationStage, case: str) -> None:
     changes, words = REFUSED[case]
     stage.settle(stage.submit(chart()))
-    tip, number = stage.catalogue.tip, propose(stage, dict(changes))
+    tip = stage.catalogue.tip
+    number = propose(stage, dict(changes))
     approve(stage, number)
     text = rounds(stage)
     assert f"Checked {stage.forge.pulls[number].head[:12]}: it cannot be merged." in text

@@ -302,7 +302,8 @@ def test_a_changed_entry_is_verified_again(stage: PublicationStage) -> None:
 def test_what_somebody_changed_on_main_is_restored_by_submitting_again(stage: PublicationStage) -> None:
     packed = chart()
     stage.settle(stage.submit(packed))
-    before, path = stage.main(), entry_path(packed[0])
+    before = stage.main()
+    path = entry_path(packed[0])
     schema = path.removesuffix(".yaml") + ".schema.json"
     for changed, old, new in ((path, "description: ", "description: Not "), (schema, '"type"', '"kind"')):
         stage.catalogue.push({changed: before[changed].replace(old, new, 1)}, "by hand")

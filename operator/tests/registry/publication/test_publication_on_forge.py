@@ -418,7 +418,8 @@ def test_the_public_key_is_in_the_catalogue(publishing: Publishing) -> None:
 def test_a_comment_of_somebody_else_is_not_taken_for_the_gates(publishing: Publishing, name: str) -> None:
     """The gate edits its own comment only, and a publisher's look-alike is not believed by the command."""
     publishing.runner.progress[SUITES[-1]] = SuiteProgress("running")
-    installation, outcomes = publishing.installation, []
+    installation = publishing.installation
+    outcomes = []
     thread = threading.Thread(target=lambda: outcomes.append(publishing.submit(chart(name))))
     thread.start()
     until(lambda: any(line.startswith("pull request") for line in publishing.lines), "open")

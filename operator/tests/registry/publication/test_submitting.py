@@ -30,7 +30,8 @@ class Publisher:
     """Submits where the gate does a round whenever the publisher sleeps."""
 
     def __init__(self, stage: PublicationStage, watching: bool = False) -> None:
-        self.stage, self.now = stage, 0.0
+        self.stage = stage
+        self.now = 0.0
         self.results: list[ReportedResult] = []
         self.lines: list[str] = []
         self.slept: list[float] = []
@@ -205,7 +206,8 @@ def test_a_push_without_an_answer_is_made_once(
 ) -> None:
     """The forge may have taken it before the connection was given up, may not have, or takes it only then."""
     forge = publisher.stage.forge
-    propose, pushes = forge.propose, []
+    propose = forge.propose
+    pushes = []
 
     def slow(commit: str, topic: str, title: str, body: str) -> int | None:
         pushes.append(topic)

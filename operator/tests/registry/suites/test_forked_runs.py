@@ -45,7 +45,8 @@ def test_a_suite_that_hangs_is_ended_with_everything_it_started(suites: ForkedSu
 
 
 def test_stopping_ends_what_runs(suites: ForkedSuites, tmp_path: Path) -> None:
-    note, errors = tmp_path / "processes", []
+    note = tmp_path / "processes"
+    errors = []
 
     def run() -> None:
         try:

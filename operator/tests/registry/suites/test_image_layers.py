@@ -101,7 +101,8 @@ def test_a_sparse_file_is_refused() -> None:
 
 
 HIDDEN = entry("usr/bin/hidden", len(ELF)) + ELF.ljust(512, b"\0")
-FIRST, END = entry("etc/hello"), bytes(1024)
+FIRST = entry("etc/hello")
+END = bytes(1024)
 
 
 def changed(header: bytes, **fields: bytes) -> bytes:

@@ -149,7 +149,8 @@ def test_images_that_the_account_may_not_read_are_not_tried(
 def test_the_bill_of_another_image_does_not_pass_for_one(
     registry: OciRegistry, organisation: str, tmp_path: Path
 ) -> None:
-    repository, archive = f"{organisation}/own", tmp_path / "own.tar"
+    repository = f"{organisation}/own"
+    archive = tmp_path / "own.tar"
     write_archive(archive, [COMPRESSIONS["gzip"](made_layer(FILES))])
     foreign = json.loads(describe_image(archive, "own").bill.read_bytes())
     added = write_archive(archive, [COMPRESSIONS["gzip"](made_layer({**FILES, "usr/bin/added": ELF}))])
@@ -166,7 +167,8 @@ def test_the_bill_of_another_image_does_not_pass_for_one(
 def test_a_wrong_chart_fails_in_words(
     registry: OciRegistry, organisation: str, image: BuiltImage, tmp_path: Path, name: str
 ) -> None:
-    mistake, repository = MISTAKES[name], f"{organisation}/ros"
+    mistake = MISTAKES[name]
+    repository = f"{organisation}/ros"
     registry.push_image(repository, image.archive)
     bills.attach_bill(registry, repository, image.digest, image.archive)
     images = {"ros": f"{HOST}/{repository}@{image.digest}"}

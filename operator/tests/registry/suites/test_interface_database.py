@@ -74,7 +74,8 @@ def test_every_watched_topic_is_recorded(namespace: LocalTestNamespace) -> None:
 @pytest.mark.thorough
 def test_changed_settings_are_seen_at_work(namespace: LocalTestNamespace) -> None:
     """From named topics to patterns: the topic that fits none of them is closed."""
-    tested, render = subject_of(entry()), Jinja2Templates().render
+    tested = subject_of(entry())
+    render = Jinja2Templates().render
     sets = filled_sets(tested.entry, namespace.agent, time.time_ns(), render)
     installed = install(tested, namespace, sets[0])
     change = SettingsChange("observer", render, lambda: secrets.token_hex(8))

@@ -71,7 +71,8 @@ class Away:
     """A kubelet that does not answer at first."""
 
     def __init__(self, answers: int) -> None:
-        self.asked, self.answers = 0, answers
+        self.asked = 0
+        self.answers = answers
 
     def read(self, pods: Sequence[Mapping[str, Any]]) -> Sequence[MemorySample]:
         self.asked += 1

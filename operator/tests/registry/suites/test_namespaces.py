@@ -359,7 +359,8 @@ def test_the_password_line_is_mosquittos() -> None:
 
 
 def test_a_database_with_an_account_of_its_own() -> None:
-    api, made = MemoryNamespaceObjects(), []
+    api = MemoryNamespaceObjects()
+    made = []
     test_namespace, _ = make_namespace(
         api, account=lambda administrator, account: made.append((administrator, account))
     )
@@ -380,7 +381,8 @@ def test_a_database_with_an_account_of_its_own() -> None:
 @pytest.mark.parametrize("kind", ["ferretdb", "mongo"])
 def test_a_database_proves_who_it_is_where_the_platforms_does(kind: str) -> None:
     """By a name and an authority of its own; the broker's stays trusted."""
-    api, made = MemoryNamespaceObjects(), []
+    api = MemoryNamespaceObjects()
+    made = []
     settings = replace(SETTINGS, certify=throw_away, database_kind=kind)
     test_namespace, _ = make_namespace(api, settings=settings, account=lambda *accounts: made.extend(accounts))
     test_namespace.start_broker()

@@ -211,7 +211,8 @@ def test_a_helper_pod_that_never_starts(stage: Stage) -> None:
 
 def test_broker_and_database_are_let_in(stage: Stage, api: Api) -> None:
     with Kubelet(api, ready):
-        broker, database = stage.namespace.start_broker(), stage.namespace.start_database()
+        broker = stage.namespace.start_broker()
+        database = stage.namespace.start_database()
     assert (broker.host, broker.port, database.host) == ("10.0.0.9", 1883, "10.0.0.9")
     assert stage.accounts == [database]
     for name, key in (("broker-account", "host"), ("database-account", "authenticationDatabase")):

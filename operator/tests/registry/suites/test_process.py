@@ -39,7 +39,8 @@ RULE = SuiteRule("static", StaticSuite.version, 60)
 def configuration(installation: Installation, monkeypatch: pytest.MonkeyPatch) -> RunnerConfiguration:
     """As the chart writes it, but with this forge's address, and helm where the tests have it."""
     monkeypatch.setenv("ROBOTKUBE_HELM", program("helm"))
-    account, base = Credentials("suite-runner", installation.passwords["suite-runner"]), "oci://forge"
+    account = Credentials("suite-runner", installation.passwords["suite-runner"])
+    base = "oci://forge"
     urls = (f"{base}/staging", f"{base}/verified", f"{base}/robotkube")
     return RunnerConfiguration(Listen("127.0.0.1", 0), "info", installation.url, account, *urls, "token", (), "ros@x")
 

@@ -46,8 +46,10 @@ def finished(queue: SuiteQueue, request: SuiteRequest) -> SuiteResult:
 
 
 def test_a_run_is_done_once_however_often_it_is_asked_for(start: Start) -> None:
-    executor, keeper = MemoryExecutor(), MemoryNamespaceKeeper()
-    queue, request = start(executor, keeper), make_request()
+    executor = MemoryExecutor()
+    keeper = MemoryNamespaceKeeper()
+    queue = start(executor, keeper)
+    request = make_request()
     assert queue.put(request).status in ("queued", "running")
     until(lambda: queue.put(request).status == "running", "running")
     executor.go.set()
@@ -61,7 +63,8 @@ def test_a_run_is_done_once_however_often_it_is_asked_for(start: Start) -> None:
 def test_what_did_not_pass_is_run_again_for_another_attempt_only(start: Start) -> None:
     executor = MemoryExecutor(failed)
     executor.go.set()
-    queue, request = start(executor, MemoryNamespaceKeeper()), make_request()
+    queue = start(executor, MemoryNamespaceKeeper())
+    request = make_request()
     assert finished(queue, request).outcome == "failed"
     assert queue.put(request).finished
     executor.result = passed
@@ -84,7 +87,8 @@ def test_suites_without_a_namespace_do_not_wait_for_one(start: Start) -> None:
 
 def test_a_namespace_is_used_only_after_it_could_be_emptied(start: Start, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(suite_runner, "EMPTY_PAUSE_SECONDS_FIRST", 0.01)
-    executor, keeper = MemoryExecutor(), MemoryNamespaceKeeper(troubles=[UnavailableError("busy"), KeyError("odd")])
+    executor = MemoryExecutor()
+    keeper = MemoryNamespaceKeeper(troubles=[UnavailableError("busy"), KeyError("odd")])
     executor.go.set()
     assert finished(start(executor, keeper), make_request()).outcome == "passed"
     assert keeper.emptied >= 1

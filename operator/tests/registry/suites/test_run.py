@@ -80,7 +80,8 @@ class Charts:
 
 
 def test_the_chart_is_fetched_by_the_digest_that_was_asked_for() -> None:
-    charts, request = Charts(files={"images.yaml": b"ros: r@sha256:0\n"}), make_request()
+    charts = Charts(files={"images.yaml": b"ros: r@sha256:0\n"})
+    request = make_request()
     subject = read_subject(request, charts, charts, "suite")  # type: ignore[arg-type]  # one of its methods is needed
     assert charts.pulled == [(request.repository, request.artefact.digest)]
     assert (subject.images, subject.archive) == ({"ros": "r@sha256:0"}, b"tgz")

@@ -61,7 +61,8 @@ def runner() -> Iterator[Runner]:
 
 
 def test_the_gates_client_and_the_server_understand_each_other(runner: Runner) -> None:
-    request, client = make_request(), SuiteRunnerClient(runner.url, TOKEN)
+    request = make_request()
+    client = SuiteRunnerClient(runner.url, TOKEN)
     assert client.run(request) == SuiteProgress("finished", passed(request))
     assert runner.asked == [request]
     runner.error = UnavailableError("64 runs wait already")

@@ -57,7 +57,8 @@ class Bag:
 
 class PlayerStage:
     def __init__(self, folder: Path, now: int, count: int = 500) -> None:
-        self.clock, self.folder = Clock(now), folder
+        self.clock = Clock(now)
+        self.folder = folder
         self.network = Network(self.clock)
         self.ended = False
         self.player = Player(
@@ -102,7 +103,8 @@ def test_it_is_silent_without_an_order(tmp_path: Path) -> None:
 def test_a_stall_is_made_up_for_in_order_and_counted(tmp_path: Path) -> None:
     stage = PlayerStage(tmp_path, START)
     stage.player.order(PlaybackRun("one", START))
-    stage.clock.stall_at, stage.clock.stall = START + 10**9, 2 * 10**9
+    stage.clock.stall_at = START + 10**9
+    stage.clock.stall = 2 * 10**9
     stage.at(START + 9 * 10**9, stage.end)
     stage.player.serve()
     assert [line.get("sequence") for line in stage.ledger("one", "__p")[:-1]] == list(range(500))

@@ -31,7 +31,8 @@ TYPES = {
     "/words": "std_msgs/msg/String",
 }
 COUNT = 120
-CORRUPTIONS, CORRUPTIONS_THOROUGH = EXAMPLES, 4000
+CORRUPTIONS = EXAMPLES
+CORRUPTIONS_THOROUGH = 4000
 
 Message = tuple[str, int, bytes]
 
@@ -255,7 +256,8 @@ def test_a_detector_reads_only_what_it_asks_for(tmp_path: Path) -> None:
 @pytest.mark.parametrize("ending", [".zstd", ".zst"])
 def test_packed_files_may_be_of_several_parts(ending: str, tmp_path: Path) -> None:
     write_mcap(tmp_path / "one.mcap")
-    data, path = (tmp_path / "one.mcap").read_bytes(), tmp_path / f"packed.mcap{ending}"
+    data = (tmp_path / "one.mcap").read_bytes()
+    path = tmp_path / f"packed.mcap{ending}"
     pack = zstandard.ZstdCompressor().compress
     path.write_bytes(pack(data[:5000]) + pack(data[5000:]))
     assert read(path) == (messages(), [])

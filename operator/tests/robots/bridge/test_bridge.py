@@ -226,7 +226,8 @@ def test_nothing_is_lost_over_a_reconnection() -> None:
     stage = BridgeStage()
     stage.configure(out=[POSE])
     stage.connect()
-    channel, pose = stage.channels["telemetry"], stage.network.endpoint(POSE["name"])
+    channel = stage.channels["telemetry"]
+    pose = stage.network.endpoint(POSE["name"])
     pose.waiting = [b"0"]
     stage.bridge.turn(0.0)
     channel.lose()

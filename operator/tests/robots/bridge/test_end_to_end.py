@@ -116,7 +116,8 @@ def test_every_pose_arrives_once_also_when_a_topic_is_added_in_mid_run(setting: 
     received = play(setting, {2.0: add_lidar, 6.0: take_lidar_away})
     assert_all_poses(setting, received)
     _, cloud, transform = (track.name for track in setting.tracks["vehicle-00"])
-    clouds, played = received[cloud], ledger(setting, "vehicle-00", cloud)
+    clouds = received[cloud]
+    played = ledger(setting, "vehicle-00", cloud)
     begin = played.index(clouds[0])
     assert clouds == played[begin : begin + len(clouds)]
     assert len(clouds) >= 20

@@ -65,7 +65,8 @@ class Client:
     """A connection of somebody who is no bridge."""
 
     def __init__(self, stage: Stage, account: str) -> None:
-        self.stage, self.got = stage, dict[str, tuple[bytes, bytes]]()
+        self.stage = stage
+        self.got = dict[str, tuple[bytes, bytes]]()
         credentials = BrokerAccount("127.0.0.1", stage.broker.port, account, pods.password(account))
         self.channel = PahoChannel(lambda: credentials, f"{account}-client", 5, self)
         self.until(lambda: self.channel.complaint is None)
@@ -100,7 +101,8 @@ def test_bridges_speak_mqtt_client_with_each_other_and_with_others(tmp_path: Pat
         stage.vehicle.configure(out=[IKA])
         stage.cloud.configure(**{"in": [{**POSE, "format": "mqtt_client", "name": name}]})
         stage.ready()
-        client, topic = Client(stage, "cloud-0"), "mqtt" + POSE["name"]
+        client = Client(stage, "cloud-0")
+        topic = "mqtt" + POSE["name"]
         client.channel.subscribe([topic, ika.type_topic(topic)])
         client.until(lambda: ika.type_topic(topic) in client.got)
         assert ika.decode_type(client.got[ika.type_topic(topic)][0]) == ika.RosMessageType(POSE["type"], True)
@@ -149,7 +151,8 @@ def test_definitions_are_retained_beside_the_messages(tmp_path: Path) -> None:
         stage.vehicle.configure(out=[POSE], publish_types=True)
         stage.cloud.configure()
         stage.ready()
-        client, topic = Client(stage, "cloud-0"), types_topic("mqtt" + POSE["name"])
+        client = Client(stage, "cloud-0")
+        topic = types_topic("mqtt" + POSE["name"])
         client.channel.subscribe([topic])
         client.until(lambda: topic in client.got)
         assert client.got[topic][0] == b"definition of " + POSE["type"].encode()

@@ -64,7 +64,8 @@ def test_what_cannot_be_opened_is_bounded_and_forgotten_with_its_settings() -> N
     stage = BridgeStage()
     stage.configure(into=[{**EVERYBODY, "type": "nowhere/msg/Odd"}])
     stage.connect()
-    receive, batches = stage.channels["telemetry"].events.received, iter(range(10_000))
+    receive = stage.channels["telemetry"].events.received
+    batches = iter(range(10_000))
 
     def come(agent: str) -> None:
         receive(f"mqtt/vehicles/{agent}/pose", encode_batch(1, next(batches), [b"pose"]), b"")
@@ -104,7 +105,8 @@ def test_a_topic_that_is_named_stays_when_all_are_asked_for() -> None:
     named = {**POSE, "name": OTHER}
     stage.configure(into=[named])
     stage.connect()
-    telemetry, sink = stage.channels["telemetry"], stage.network.endpoint(OTHER)
+    telemetry = stage.channels["telemetry"]
+    sink = stage.network.endpoint(OTHER)
     stage.configure(into=[named, EVERYBODY])
     assert telemetry.subscribed == ["mqtt" + OTHER, "mqtt/vehicles/+/pose"]
     assert telemetry.unsubscribed == ["mqtt" + OTHER]
@@ -225,7 +227,8 @@ def test_messages_of_mqtt_client_are_never_published_as_another_type() -> None:
     stage = BridgeStage()
     stage.configure(into=[IKA])
     stage.connect()
-    telemetry, name = stage.channels["telemetry"], "mqtt" + POSE["name"]
+    telemetry = stage.channels["telemetry"]
+    name = "mqtt" + POSE["name"]
 
     def announce(type_name: str) -> None:
         kind = ika.encode_type(ika.RosMessageType(type_name, True))

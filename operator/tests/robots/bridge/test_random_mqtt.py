@@ -75,7 +75,8 @@ def topics(random_: random.Random) -> str:
 
 @CASES
 def test_any_message_at_any_topic(cases: int) -> None:
-    random_, stage = random.Random(SEED), BridgeStage()  # noqa: S311 - repeatable, not secret
+    random_ = random.Random(SEED)  # noqa: S311 - repeatable, not secret
+    stage = BridgeStage()
     status = {"name": "/robotkube/task_status", "type": "std_msgs/msg/String"}
     stage.configure(into=[EVERYBODY, IKA, status], publish_gaps=True)
     stage.connect()
@@ -106,7 +107,8 @@ def test_any_message_at_any_topic(cases: int) -> None:
 @CASES
 def test_any_bytes_of_a_broker(cases: int) -> None:
     """A connection takes packets, or ends; nothing else. Whole packets with random content come, too."""
-    random_, got = random.Random(SEED), 0  # noqa: S311 - repeatable, not secret
+    random_ = random.Random(SEED)  # noqa: S311 - repeatable, not secret
+    got = 0
 
     def received(*_: Any) -> None:
         nonlocal got

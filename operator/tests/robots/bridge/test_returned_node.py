@@ -59,7 +59,8 @@ class Stage:
     """Bridge and receiver at one broker; the clock of the settings goes on by leaps."""
 
     def __init__(self, broker: pods.Broker, api: ApiServerInMemory) -> None:
-        self.leap, self.network = 0.0, Network()
+        self.leap = 0.0
+        self.network = Network()
         self.ownership = Fencing("edge-0", True, self.clock)
         self.watch = ConfigMapWatch(ApiServer(api.url), "a", "bridge", self.told, clock=self.clock)
         self.ownership.watch(self.watch)

@@ -18,7 +18,8 @@ def batch(topic: str, number: int) -> OutgoingBatch:
 
 @given(st.lists(st.sampled_from([*TOPICS, "take", "put back", "oldest", "thickest", "forget"]), max_size=60))
 def test_any_history_is_that_of_a_plain_list(actions: list[str]) -> None:
-    waiting, model = WaitingBatches(), list[OutgoingBatch]()
+    waiting = WaitingBatches()
+    model = list[OutgoingBatch]()
     received: list[OutgoingBatch] = []
     for number, action in enumerate(actions):
         model.sort(key=lambda one: (not one.deadline_seconds, one.born))

@@ -68,7 +68,8 @@ def test_what_a_killed_detector_owed_the_broker_is_published_once(
     broker: pods.Broker, start: Callable[..., subprocess.Popen[bytes]], tmp_path: Path
 ) -> None:
     (tmp_path / "config.yaml").write_text(write_mapping(NEAR))
-    port, secrets = free_port(), broker.secret("cloud-0", "127.0.0.1")
+    port = free_port()
+    secrets = broker.secret("cloud-0", "127.0.0.1")
     broker.stop()
 
     def detector() -> subprocess.Popen[bytes]:
@@ -90,7 +91,8 @@ def test_what_a_killed_detector_owed_the_broker_is_published_once(
         except OSError:
             return []
 
-    first, publisher = detector(), start(*PUBLISHER, str(tmp_path), "60")
+    first = detector()
+    publisher = start(*PUBLISHER, str(tmp_path), "60")
     until(lambda: len(raised()) >= 2)
     publisher.send_signal(signal.SIGSTOP)
     until(lambda: page("status")["reactions_journal"]["kept"] == len(raised()))

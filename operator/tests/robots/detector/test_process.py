@@ -183,7 +183,8 @@ def test_a_killed_detector_owes_nobody_an_edge(
         until(lambda number=number: len(raised()) == number)
     until(lambda: len(api.calls) == 3 and receiver.refused)
     until(lambda: kept() == 3)
-    owed, calls = raised(), list(api.calls)
+    owed = raised()
+    calls = list(api.calls)
     first.kill()
     first.wait(SECONDS_MAX)
     assert receiver.taken == []

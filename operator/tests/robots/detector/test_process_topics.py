@@ -148,7 +148,8 @@ def test_it_becomes_active_by_command_and_by_configuration_with_all_it_has(
     name = "/vehicles/vehicle_01/pose"
     until(lambda: detector.topic(name)["received"] > 10)
     assert detector.events() == []
-    held, asked = 0, list[int]()
+    held = 0
+    asked = list[int]()
 
     def configure(state: str) -> None:
         api.settings = write_mapping({**document, "state": state})

@@ -58,7 +58,8 @@ def test_a_type_that_is_not_installed_comes_with_its_definition(broker: pods.Bro
     }
     command = [sys.executable, "-m", "robotkube.robots.detector"]
     detector = subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True)
-    peer, frames = EventPeer(broker), iter(range(1000))
+    peer = EventPeer(broker)
+    frames = iter(range(1000))
 
     def say(value: float) -> None:
         peer.say(TOPIC, encode_batch(1, next(frames), [number(value)]), type_properties(TYPE, ""))

@@ -84,7 +84,8 @@ def test_a_rule_that_sleeps_holds_nothing_up(tmp_path: Path) -> None:
     for number in range(250):
         stage.send("vehicle-00", 0)
         stage.send("vehicle-01", 100 if number % 2 else 900)
-    buffers, slow = stage.detector.pool.snapshot(), workers(stage)["slow"]
+    buffers = stage.detector.pool.snapshot()
+    slow = workers(stage)["slow"]
     stage.detector.stop()
     assert (slow["answered"], slow["asked"], slow["waiting"]) == (0, 500, 500), "it has not answered once by then"
     assert [buffers[name]["messages"] for name in sorted(buffers)] == [250, 250]

@@ -469,7 +469,8 @@ def test_topics_that_come_back_after_a_long_pause_are_read_again(
 ) -> None:
     """Whether all of them pause, or others go on; the detector has forgotten them meanwhile."""
     monkeypatch.setattr(rule_replay, "TURNS_MAX", 10)
-    pause, name = 700 * SECOND, "/vehicles/vehicle_00/value"
+    pause = 700 * SECOND
+    name = "/vehicles/vehicle_00/value"
     moments = [BEGIN, BEGIN + SECOND, *(BEGIN + pause + step * 100 * MS for step in range(20))]
     messages = [(name, moment, number(6 - 3 * (index % 2))) for index, moment in enumerate(moments)]
     if not everything:

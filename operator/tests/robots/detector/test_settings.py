@@ -47,7 +47,8 @@ def document() -> dict[str, Any]:
 
 def test_a_good_document_is_read() -> None:
     settings = read_detector_settings(document(), "config.yaml")
-    near, (operator, recording, *others) = settings.rules[0], settings.reactions
+    near = settings.rules[0]
+    (operator, recording, *others) = settings.reactions
     assert isinstance(near.condition, Proximity)
     assert (near.condition.start_distance_m, near.condition.stop_distance_m, near.agents) == (400, 500, ("a", "b"))
     assert isinstance(operator, OperatorReactionSettings)

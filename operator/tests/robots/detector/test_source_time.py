@@ -203,7 +203,8 @@ def test_messages_that_cannot_be_read_wait_or_are_pushed_out_are_told_too() -> N
     source.waiting = [(b"\0\1", stage.now), (Sent("vehicle-00", 3 * SECOND, 0, 1).data[:40], stage.now)]
     source.lost = 5
     stage.detector.turn()
-    stage.detector._adopted, stage.detector._adopt_until = False, 1e9  # the API server has not answered
+    stage.detector._adopted = False  # the API server has not answered
+    stage.detector._adopt_until = 1e9
     stage.send("vehicle-00", 1)
     unseen = stage.detector.unseen.of(topic)
     assert {reason: count for reason, count in unseen.items() if count} == {

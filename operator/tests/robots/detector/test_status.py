@@ -72,7 +72,8 @@ def test_a_state_is_named_when_it_is_reached() -> None:
     """Whoever reads beside sees none without its subscriptions."""
     stage = DetectorStage(MemoryTasks())
     stage.apply({**QUIET, "state": "inactive"})
-    announce, named = stage.live.announce, list[str]()
+    announce = stage.live.announce
+    named = list[str]()
 
     def announcing(topics: Sequence[TopicSettings]) -> None:
         named.append(stage.status.document()["state"])
@@ -88,7 +89,8 @@ def test_a_state_is_named_when_it_is_reached() -> None:
 def test_a_refusal_is_told_also_when_it_comes_just_before_a_new_subscription(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    stage, name = DetectorStage(MemoryTasks()), "/vehicles/vehicle_00/pose"
+    stage = DetectorStage(MemoryTasks())
+    name = "/vehicles/vehicle_00/pose"
     stage.apply(QUIET)
     first = stage.live.topics[name]
 

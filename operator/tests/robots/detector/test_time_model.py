@@ -206,7 +206,8 @@ def check_what_is_overlooked(sent: Sequence[Sent], run: Run) -> None:
         offset = 1 << 80
         for message, outcome, newest in judged(sent, agent):
             if outcome == JUMPED:
-                known, offset = [], 1 << 80
+                known = []
+                offset = 1 << 80
             if outcome != DISORDERED or newest is None or newest.stamp - message.stamp > DISORDER_NS_MAX:
                 continue
             offset = min(offset, newest.received - newest.stamp)

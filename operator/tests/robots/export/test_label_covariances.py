@@ -146,7 +146,8 @@ def test_between_two_poses_the_larger_one_counts_and_what_interpolation_may_be_w
     vehicle = label(between=True)
     turn = 3.0 * 0.1**2 / 8
     assert vehicle.heading_uncertainty_rad == pytest.approx(math.hypot(0.01, turn, 0.04, turn))
-    move, own_turn = 10.0 * 0.1**2 / 8, math.hypot(0.01, turn) * vehicle.distance_m
+    move = 10.0 * 0.1**2 / 8
+    own_turn = math.hypot(0.01, turn) * vehicle.distance_m
     assert vehicle.position_uncertainty_m == pytest.approx(math.hypot(0.1, 0.6, move, move, own_turn))
 
 

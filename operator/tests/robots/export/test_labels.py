@@ -51,7 +51,8 @@ def test_the_box_holds_the_other_vehicles_points(made: Mapping[str, Path]) -> No
                 continue
             shown += 1
             (label,) = one.labels
-            cosine, sine = np.cos(label.heading), np.sin(label.heading)
+            cosine = np.cos(label.heading)
+            sine = np.sin(label.heading)
             offset = vehicle - np.array(label.position)
             along = offset @ np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
             held += bool((np.abs(along) <= np.array(VEHICLE_SIZE_M) / 2 + MARGIN_M).all())
@@ -90,7 +91,8 @@ def test_a_dataset_in_kittis_layout(made: Mapping[str, Path], tmp_path: Path) ->
     height, width, length, x, y, z, turned = map(float, words[8:15])
     camera = points[:, :3] @ to_camera[:, :3].T + to_camera[:, 3]  # as KITTI's readers do
     offset = camera - np.array([x, y, z])
-    cosine, sine = np.cos(turned), np.sin(turned)
+    cosine = np.cos(turned)
+    sine = np.sin(turned)
     along, across = cosine * offset[:, 0] - sine * offset[:, 2], sine * offset[:, 0] + cosine * offset[:, 2]
     inside = (
         (np.abs(along) <= length / 2 + MARGIN_M)

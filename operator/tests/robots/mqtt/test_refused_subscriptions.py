@@ -7,7 +7,8 @@ from robotkube.robots.mqtt.core.refused_subscriptions import PAUSES_SECONDS, Ref
 
 def test_it_is_asked_for_after_longer_and_longer_pauses_until_it_is_granted() -> None:
     refused = RefusedSubscriptions()
-    now, pauses = 100.0, []
+    now = 100.0
+    pauses = []
     for _ in range(6):
         refused.refused("a", now)
         before = now

@@ -33,7 +33,8 @@ def poses(count: int, places: Sequence[tuple[float, float]]) -> Poses:
 
 def identities(settings: TrackerSettings, speed: float, unseen: Sequence[int] = ()) -> list[int]:
     """Identity per cloud of one object that drives at `speed` m/s."""
-    tracker, seen = Tracker(settings), []
+    tracker = Tracker(settings)
+    seen = []
     for count in range(1, 40):
         places = [] if count in unseen else [(speed * count / 10, 0.0)]
         seen += [track.id for track in tracker.observe(poses(count, places))]

@@ -78,7 +78,8 @@ class Stage:
 
     def serve(self, name: str, settings: Mapping[str, Any], **environment: str) -> tuple[subprocess.Popen[bytes], int]:
         """One of the services, and its health port."""
-        path, port = self.folder / f"{name}.yaml", pods.free_port()
+        path = self.folder / f"{name}.yaml"
+        port = pods.free_port()
         path.write_text(write_mapping(settings))
         process = self.run(
             name,

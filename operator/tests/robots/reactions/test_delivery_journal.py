@@ -36,7 +36,8 @@ HOOK, OTHER = "hook", "other"
 FILE = "deliveries.jsonl"
 SECOND_NS = 1_000_000_000
 NOW = 1_795_250_000 * SECOND_NS
-SEEDS, STEPS = range(150), 40
+SEEDS = range(150)
+STEPS = 40
 
 
 def delivery(number: int, size: int = 20) -> EdgeDelivery:
@@ -136,7 +137,8 @@ def test_every_history_of_kills_leaves_what_was_kept_and_nothing_else(tmp_path: 
     for seed in SEEDS:
         chance = random.Random(seed)  # noqa: S311 - not for secrets
         folder = tmp_path / str(seed)
-        life, number = Life(folder), 0
+        life = Life(folder)
+        number = 0
         life.journal.turn()
         live: list[str] = []  # added and not done
         safe: set[str] = set()  # of these, what a successor must find
@@ -155,7 +157,8 @@ def test_every_history_of_kills_leaves_what_was_kept_and_nothing_else(tmp_path: 
                 life.disk.error = chance.choice((0, errno.ENOSPC, errno.EIO))
             elif what < 0.9:
                 if life.journal.turn():
-                    safe, over = set(live), {*ids(*range(1, number + 1))} - set(live)
+                    safe = set(live)
+                    over = {*ids(*range(1, number + 1))} - set(live)
             else:
                 before = life.disk.size
                 life.journal.turn()
@@ -169,7 +172,8 @@ def test_every_history_of_kills_leaves_what_was_kept_and_nothing_else(tmp_path: 
                 assert safe <= set(left), seed
                 assert set(left) <= {*ids(*range(1, number + 1))} - over, seed
                 assert left == sorted(left), seed
-                live, safe = left, set(left)
+                live = left
+                safe = set(left)
         life.kill()
 
 
@@ -194,7 +198,8 @@ def test_a_full_disk_is_said_and_counted_and_got_over(tmp_path: Path) -> None:
 
 
 def test_no_more_waits_on_the_disk_than_is_allowed_and_the_file_is_written_anew(tmp_path: Path) -> None:
-    life, size = Life(tmp_path), 1_000_000
+    life = Life(tmp_path)
+    size = 1_000_000
     life.journal.turn()
     for number in range(12):
         life.hook.add(delivery(number, size))
@@ -274,7 +279,8 @@ class Receiver:
     """Port Sender. `away`: it does not answer."""
 
     def __init__(self, away: bool = False) -> None:
-        self.away, self.sent = away, list[str]()
+        self.away = away
+        self.sent = list[str]()
 
     def probe(self) -> None: ...
 

@@ -118,7 +118,8 @@ def test_messages_of_a_release_that_was_taken_over_become_dead_letters() -> None
 
 
 def test_deliveries_are_tried_again_while_nobody_knows() -> None:
-    receiver, reading = Receiver(), Reading()
+    receiver = Receiver()
+    reading = Reading()
     fencing = Fencing("edge-0", True, lambda: 100.0)
     fencing.watch(reading)
     sender = FencedSender(receiver, fencing)

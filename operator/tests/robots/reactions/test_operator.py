@@ -212,7 +212,8 @@ def test_a_task_that_somebody_deleted_is_renewed_no_more(stage: Stage) -> None:
     assert stage.done() == ["start"]
     stage.tasks.objects.clear()
     for seconds in (11, 22, 33):
-        stage.seconds, looks = float(seconds), stage.tasks.looks
+        stage.seconds = float(seconds)
+        looks = stage.tasks.looks
         until(lambda looks=looks: stage.tasks.looks > looks)
     stage.send(0.01)
     assert stage.done() == ["start", "stop"]

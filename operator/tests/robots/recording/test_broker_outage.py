@@ -94,7 +94,8 @@ def test_the_audit_has_what_the_ledgers_say_is_missing(way: RecordedPath) -> Non
         assert len(gone) <= IN_FLIGHT_MAX
         assert sum(gap.count or 0 for gap in audited[topic].gaps) == len(gone)
         assert all(any(gap.covers(stamp) for gap in audited[topic].gaps) for stamp in gone)
-    missing, gaps = lost(way, CLOUDS), audited[CLOUDS].gaps
+    missing = lost(way, CLOUDS)
+    gaps = audited[CLOUDS].gaps
     early, missing = missing[: audited[CLOUDS].early], missing[audited[CLOUDS].early :]
     assert early == [line.stamp for line in way.ledgers()[CLOUDS]][: len(early)]
     assert len(early) <= BEGIN_SECONDS_MAX * CLOUD_HZ, "clouds that were there before the first pose of each vehicle"

@@ -26,7 +26,8 @@ class Stage:
 
     def __init__(self, movable: bool = True) -> None:
         self.now, self.sent = 100.0, 0
-        self.database, self.volume = RecordingDatabase(), RecordingVolume()
+        self.database = RecordingDatabase()
+        self.volume = RecordingVolume()
         self.begin(movable)
         self.read(MOVABLE if movable else {})
 
@@ -44,7 +45,8 @@ class Stage:
     def read(self, settings: Any) -> None:
         """The API server answers."""
         self.fencing.observe(settings)
-        self.reading.read_at, self.reading.interrupted_at = self.now, None
+        self.reading.read_at = self.now
+        self.reading.interrupted_at = None
 
     def record(self, seconds: float = 1.0) -> None:
         """A message, and what the threads do with it; then so much time."""
@@ -59,7 +61,8 @@ class Stage:
 
     def cut(self) -> None:
         """Nothing reaches the node, and then everything does; its settings were not read yet."""
-        self.database.away, self.reading.interrupted_at = True, self.now
+        self.database.away = True
+        self.reading.interrupted_at = self.now
         for seconds in (GAP_SECONDS_MAX, GAP_SECONDS_MAX, BOUND_SECONDS_MAX - 0.2):
             self.record(seconds)
         self.database.away = False

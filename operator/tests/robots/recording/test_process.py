@@ -62,14 +62,13 @@ class Site:
     """A folder with everything a pod would find mounted, and the processes on it."""
 
     def __init__(self, database_server: Any, folder: Path) -> None:
-        self.folder, self.processes = folder, list[subprocess.Popen[str]]()
+        self.folder = folder
+        self.processes = list[subprocess.Popen[str]]()
         database_server.create_account("recorder", "secret", DATABASE)
         account = DatabaseLogin("127.0.0.1", database_server.port, DATABASE, "recorder", "secret", DATABASE)
         self.database = connect(account)
-        self.reader, self.segments = (
-            PymongoRecordingReader(self.database),
-            McapSegmentReader({"cloud-0/recordings": folder / "claim"}),
-        )
+        self.reader = PymongoRecordingReader(self.database)
+        self.segments = McapSegmentReader({"cloud-0/recordings": folder / "claim"})
         for name in ("claim", "ledgers", "secrets/database"):
             (folder / name).mkdir(parents=True)
         values = {**vars(account), "authenticationDatabase": account.authentication_database}
@@ -161,7 +160,8 @@ def site(database_server: Any, tmp_path: Path) -> Iterator[Site]:
 
 
 def test_sigterm_in_mid_write_leaves_a_complete_recording(site: Site) -> None:
-    publisher, recorder = site.publish(), site.record()
+    publisher = site.publish()
+    recorder = site.record()
     site.until_stored(40)
     site.until_every_topic_is_stored()
     ended_at = time.time_ns()
@@ -190,7 +190,8 @@ def test_sigterm_in_mid_write_leaves_a_complete_recording(site: Site) -> None:
 
 
 def test_a_killed_recorder_leaves_everything_acknowledged_readable(site: Site) -> None:
-    publisher, first = site.publish(), site.record()
+    publisher = site.publish()
+    first = site.record()
     site.until_stored(20)
     first.kill()
     first.wait(SECONDS_MAX)

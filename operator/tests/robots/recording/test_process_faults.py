@@ -34,7 +34,8 @@ class Site:
 
     def __init__(self, database_server: Any, folder: Path) -> None:
         database_server.create_account("recorder", "secret", DATABASE)
-        self.port, self.claim = database_server.port, folder / "claim"
+        self.port = database_server.port
+        self.claim = folder / "claim"
         self.claim.mkdir()
         self.ledgers: dict[str, list[LedgerLine]] = {"/pose": [], "/cloud": []}
 
@@ -65,7 +66,8 @@ class Site:
     def check(self) -> int:
         """Everything stored is right, everything missing is explained; the number of stored messages."""
         database = connect(DatabaseLogin("127.0.0.1", self.port, DATABASE, "recorder", "secret", DATABASE))
-        reader, segments = PymongoRecordingReader(database), McapSegmentReader({VOLUME: self.claim})
+        reader = PymongoRecordingReader(database)
+        segments = McapSegmentReader({VOLUME: self.claim})
         stored = list(stored_messages(reader, segments, RECORDING))
         for topic in examine(stored, audits(reader, RECORDING), self.ledgers, ALWAYS):
             assert topic.comparison is not None
@@ -95,7 +97,8 @@ class Site:
 
 
 def kill_and_check(database_server: Any, folder: Path, kills: int, seed: int) -> None:
-    site, moments = Site(database_server, folder), random.Random(seed)  # noqa: S311 - not for secrets
+    site = Site(database_server, folder)
+    moments = random.Random(seed)  # noqa: S311 - not for secrets
     for _ in range(kills):
         site.record(SECONDS_MAX, kill_after=moments.uniform(0.4, 1.5))
     site.record(0.3)

@@ -37,7 +37,8 @@ FOUND = (575, 1156, 1221, 1474, 1560, 1691, 1928, 1993, 2029, 2082, 2213, 2839)
 """Seeds that have found something: a recorder that took itself for its predecessor, and one whose predecessor had
 stored without an audit after another one that was killed."""
 ENOUGH = max(EXAMPLES, 20)  # that the faults reach every place
-SEEDS, SEEDS_THOROUGH = (*range(ENOUGH), *FOUND), range(200, 3000)
+SEEDS = (*range(ENOUGH), *FOUND)
+SEEDS_THOROUGH = range(200, 3000)
 
 
 class PromptJournal(Journal):
@@ -72,7 +73,8 @@ class History:
     def __init__(
         self, seed: int, topics: Mapping[str, tuple[str, int, int]] = TOPICS, journal: type[Journal] = Journal
     ) -> None:
-        self.random, self.topics = random.Random(seed), topics  # noqa: S311 - not for secrets
+        self.random = random.Random(seed)  # noqa: S311 - not for secrets
+        self.topics = topics
         self.kind_of_journal = journal
         self.of_manifests = random.Random(seed)  # noqa: S311 - one of its own: seeds from before go on as they did
         self.database = RecordingDatabase(self.kill_now_and_then, self.kill_at_a_manifest)

@@ -240,7 +240,8 @@ def test_a_recorder_goes_where_its_account_leads_when_the_database_speaks_tls(be
     bench.server.kill()
     bench.second(recorder, 1)
     until(lambda: recorder.counts()["retries"] > 0, "a try that failed")
-    bench.server.port, bench.server.issued = free_port(), throw_away(NAME)
+    bench.server.port = free_port()
+    bench.server.issued = throw_away(NAME)
     bench.server.start()
     bench.account = replace(bench.account, port=bench.server.port, tls=bench.server.tls)
     until(lambda: recorder.waiting == 0)
@@ -316,7 +317,8 @@ def test_waiting_writes_are_bounded_by_the_spool(bench: Bench) -> None:
 
 
 def test_a_claim_that_refuses_loses_nothing_once_it_takes_again(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    full, refused = threading.Event(), 0
+    full = threading.Event()
+    refused = 0
     synchronise = os.fdatasync
 
     def refuse(descriptor: int) -> None:

@@ -43,7 +43,9 @@ def test_what_was_put_comes_back(spool: BsonSpool) -> None:
 
 def test_a_damaged_file_is_named_or_its_writes_can_be_brought_in(spool: BsonSpool, tmp_path: Path) -> None:
     path = tmp_path / "spool" / spool.put(WRITES)
-    whole, moments, named = path.read_bytes(), random.Random(SEED), 0  # noqa: S311 - not for secrets
+    whole = path.read_bytes()
+    moments = random.Random(SEED)  # noqa: S311 - not for secrets
+    named = 0
     for _ in range(CASES):
         damaged = bytearray(whole)
         for _ in range(moments.randint(1, 4)):
@@ -78,7 +80,8 @@ def test_a_volume_that_fails_altogether_is_not_blamed_on_the_file(tmp_path: Path
 def test_a_batch_that_is_given_up_is_whole_or_replaced(
     spool: BsonSpool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    name, few = spool.put(WRITES), WRITES[:1]
+    name = spool.put(WRITES)
+    few = WRITES[:1]
 
     def fail(descriptor: int) -> None:
         raise OSError(errno.EIO, os.strerror(errno.EIO))

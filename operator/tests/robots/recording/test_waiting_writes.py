@@ -56,7 +56,8 @@ def stored(database: RecordingDatabase) -> list[int]:
 
 
 def test_what_comes_while_the_spool_is_written_is_spooled_too() -> None:
-    volume, database = SlowVolume(), RecordingDatabase(away=True)
+    volume = SlowVolume()
+    database = RecordingDatabase(away=True)
     journal = volume.journal = journal_of(volume, database)
     journal.add(sample(number) for number in range(50))
     journal.turn()
@@ -69,7 +70,8 @@ def test_what_comes_while_the_spool_is_written_is_spooled_too() -> None:
 
 
 def test_what_the_volume_refuses_is_given_up_beyond_twice_the_bound() -> None:
-    volume, database = RecordingVolume(), RecordingDatabase(away=True)
+    volume = RecordingVolume()
+    database = RecordingDatabase(away=True)
     journal = journal_of(volume, database)
     journal.turn()
     volume.away = True

@@ -50,7 +50,8 @@ class Bench:
     """Recordings with buffers; time is in tenths of seconds."""
 
     def __init__(self) -> None:
-        self.database, self.volume = RecordingDatabase(), RecordingVolume()
+        self.database = RecordingDatabase()
+        self.volume = RecordingVolume()
         self.buffers = {
             A: RingBuffer(BufferBounds(10, 10**6)),
             B: RingBuffer(BufferBounds(10, 10**6)),
@@ -158,7 +159,8 @@ def test_events_whose_windows_overlap_share_a_recording_with_both_as_causes(benc
 
 
 def test_counts_never_fall_when_a_recording_is_over(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    forget, counted = Journal.remove_listener, list[int]()
+    forget = Journal.remove_listener
+    counted = list[int]()
 
     def counting(journal: Journal, listener: Listener) -> None:
         counted.append(bench.recordings.counts()["offered"])

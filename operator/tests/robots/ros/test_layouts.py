@@ -277,7 +277,8 @@ def test_no_payload_crashes_hangs_or_grows(count: int) -> None:
             reader = Layouts({"test_msgs/msg/T0": types.text()}.__getitem__).reader("test_msgs/msg/T0", paths)
             data = damaged(draw, types.message(value, draw.random() < 0.5))
             tracemalloc.reset_peak()
-            before, began = tracemalloc.get_traced_memory()[0], time.process_time()
+            before = tracemalloc.get_traced_memory()[0]
+            began = time.process_time()
             try:
                 reader(data)
             except ValueError:

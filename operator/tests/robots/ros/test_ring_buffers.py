@@ -57,7 +57,8 @@ def test_it_does_what_a_plain_list_would(count: int) -> None:
         draw = random.Random(seed)  # noqa: S311 - the same cases every time
         bounds = BufferBounds(draw.choice([0.5, 1.0, 3.0]), draw.choice([200, 2000, 10**6]), draw.choice([1, 7, 1000]))
         latched, duplicates, jump = draw.choice(KNOWN_POLICIES)
-        buffer, model = RingBuffer(bounds, latched, duplicates, jump), ModelBuffer(bounds, latched, duplicates, jump)
+        buffer = RingBuffer(bounds, latched, duplicates, jump)
+        model = ModelBuffer(bounds, latched, duplicates, jump)
         for message in random_messages(draw):
             outcome = buffer.insert(message)
             assert outcome == model.insert(message), (seed, message)
@@ -79,7 +80,8 @@ def test_other_bounds_take_what_does_not_fit_and_nothing_else(count: int) -> Non
     for seed in range(count):
         draw = random.Random(seed)  # noqa: S311 - the same cases every time
         terms = random_terms(draw)
-        buffer, model = RingBuffer(*terms), ModelBuffer(*terms)
+        buffer = RingBuffer(*terms)
+        model = ModelBuffer(*terms)
         for message in random_messages(draw):
             if draw.random() < 0.1:
                 terms = random_terms(draw)
@@ -137,7 +139,8 @@ def test_a_pool_takes_from_whoever_holds_most(count: int) -> None:
     for seed in range(count):
         draw = random.Random(seed)  # noqa: S311 - the same cases every time
         bytes_max = draw.choice([100, 1000, 5000])
-        pool, model = BufferPool(bytes_max), ModelPool(bytes_max)
+        pool = BufferPool(bytes_max)
+        model = ModelPool(bytes_max)
         for name in "abc":
             bounds = BufferBounds(2.0, 10**6)
             pool.make(name, bounds, latched=name == "c")
@@ -280,7 +283,8 @@ def test_a_latched_buffer_keeps_what_was_said_once() -> None:
 
 def test_full_rate_keeps_memory_at_its_window() -> None:
     """Vehicles at 100 Hz with windows of 10 s: after 12 s and after 30 s the same memory, in slots."""
-    pool, vehicles = BufferPool(10**9), 4
+    pool = BufferPool(10**9)
+    vehicles = 4
     for vehicle in range(vehicles):
         pool.make(f"/vehicles/vehicle_{vehicle:02}/pose", BufferBounds(10.0, 50_000_000))
     tracemalloc.start()
@@ -322,7 +326,8 @@ def resident_bytes() -> int:
 
 def test_readers_of_other_threads_see_whole_buffers() -> None:
     buffer = RingBuffer(BufferBounds(0.05, 10**6))
-    done, wrong = threading.Event(), []
+    done = threading.Event()
+    wrong = []
 
     def read() -> None:
         while not done.is_set():

@@ -45,7 +45,8 @@ class Stage:
     """One topic, its present subscription and the clock."""
 
     def __init__(self) -> None:
-        self.seconds, self.now = 0.0, 1 << 62
+        self.seconds = 0.0
+        self.now = 1 << 62
         self.subscription = Numbered()
         self.topic = self._make(None)
 

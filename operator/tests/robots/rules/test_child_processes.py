@@ -316,7 +316,8 @@ class Policy:
     """Workers over pretended processes and a clock that stands still."""
 
     def __init__(self) -> None:
-        self.now, self.processes = 0.0, list[Pretended]()
+        self.now = 0.0
+        self.processes = list[Pretended]()
         self.workers = RuleWorkers(self._start, lambda: self.now)
         self.workers.apply(read(FORMULA))
 
@@ -348,7 +349,8 @@ def test_questions_wait_within_bounds_and_what_is_dropped_is_counted() -> None:
 
 
 def test_pauses_double_up_to_a_bound_and_begin_anew_after_a_good_minute() -> None:
-    policy, pauses = Policy(), []
+    policy = Policy()
+    pauses = []
     for _ in range(9):
         policy.processes[-1].failure = "it fell over"
         policy.workers.collect()
@@ -393,7 +395,8 @@ def test_what_a_process_said_last_comes_before_its_end() -> None:
     def replies() -> Sequence[Reply]:
         seen = look()
         if not process.failure:
-            process.waiting, process.failure = [Reply((), "RuntimeError: no")], "its process ended with exit code 0"
+            process.waiting = [Reply((), "RuntimeError: no")]
+            process.failure = "its process ended with exit code 0"
         return seen
 
     process.replies = replies  # type: ignore[method-assign]

@@ -35,7 +35,8 @@ def shuffled_poses(chance: random.Random, agents: int, steps: int, width: float)
     def coordinate() -> float:
         return chance.choice(FAR) if chance.random() < 0.03 else chance.uniform(-width, width)
 
-    stamp, messages = 0, []
+    stamp = 0
+    messages = []
     for _ in range(steps):
         stamp += chance.choice((0, 1, 10, 100, 100, 300, 1500)) * MS
         name = f"vehicle-{chance.randrange(agents):02d}"
@@ -115,11 +116,13 @@ def events_by_definition(
         if value is not None and value < stop and since is not None:
             since = None
             if active:
-                active, stopped = False, now
+                active = False
+                stopped = now
                 edges.append((STOP, now))
         ready = since is not None and now >= max(since + sustained, started + interval, stopped + cooldown)
         if ready and not active:
-            active, started = True, now
+            active = True
+            started = now
             edges.append((START, now))
     return edges
 
@@ -187,7 +190,8 @@ def test_absence_is_every_gap_longer_than_the_bound(cases: int) -> None:
 
 def rates_by_definition(stamps: list[int], end: int, low: float, high: float, window: int) -> list[tuple[str, int]]:
     """Too slow: the messages of the last window, counted every millisecond."""
-    edges, active = [], False
+    edges = []
+    active = False
     for now in range(stamps[0] + window, end + 1):
         rate = sum(now - window < stamp <= now for stamp in stamps) / window * 1000
         if not active and rate < low:
@@ -214,7 +218,8 @@ def test_rates_are_what_counting_gives(cases: int) -> None:
             },
             begin=chance.choice(BEGINS),
         )
-        stamps, stamp = [], 0
+        stamps = []
+        stamp = 0
         for _ in range(60):
             stamp += chance.choice((20, 50, 50, 90, 100, 200, 400))
             stamps.append(stamp)
@@ -340,7 +345,8 @@ Layer = tuple[str, str, list[Part]]
 
 def layers(chance: random.Random) -> list[Layer]:
     """Combinations of levels and of combinations before them: name, mode and parts, some of them negated."""
-    known, made = list("abc"), []
+    known = list("abc")
+    made = []
     for number in range(chance.randint(2, 6)):
         mode = chance.choice(("all", "any", "not"))
         names = chance.sample(known, 1 if mode == "not" else chance.randint(2, 3))

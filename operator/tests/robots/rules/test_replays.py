@@ -38,7 +38,8 @@ RULES: list[dict[str, Any]] = [
 
 def journey(chance: random.Random) -> list[tuple[str, float | tuple[float, ...], float]]:
     """Messages of three agents with pauses of all lengths, each with its own stamp (s), received within 50 ms."""
-    at, messages = 0.0, []
+    at = 0.0
+    messages = []
     for _ in range(120):
         at += chance.choice((0.02, 0.05, 0.05, 0.1, 0.2, 0.4, 0.9, 2.5))
         value = chance.uniform(0, 8) if chance.random() < 0.5 else (chance.uniform(-12, 12), 0.0, 0.0)
@@ -75,7 +76,8 @@ def test_when_the_clock_is_looked_at_does_not_matter(cases: int) -> None:
 def test_every_event_begins_once_and_ends_once(cases: int) -> None:
     for seed in range(cases):
         chance = random.Random(seed)  # noqa: S311 - the same cases every time
-        stage, lasting = RuleStage(*RULES), {}
+        stage = RuleStage(*RULES)
+        lasting = {}
         edges: list[Edge] = []
         for agent, value, at in journey(chance):
             edges += [*stage.tick(at), *stage.send(agent, value, at)]
@@ -93,7 +95,8 @@ def test_every_event_begins_once_and_ends_once(cases: int) -> None:
 
 @pytest.mark.parametrize("cases", [5 * EXAMPLES, pytest.param(20_000, marks=pytest.mark.thorough)])
 def test_whatever_the_bytes_are_nothing_is_raised(cases: int) -> None:
-    stage, chance = RuleStage(*RULES), random.Random(7)  # noqa: S311 - the same cases every time
+    stage = RuleStage(*RULES)
+    chance = random.Random(7)  # noqa: S311 - the same cases every time
     good = [number(6), pose(3, 4), b""]
     for step in range(cases):
         data = bytearray(chance.choice(good))

@@ -78,7 +78,8 @@ def test_the_latest_and_the_one_before(stage: Stage) -> None:
     assert stage.window.latest(POSE, POSITION) is None
     for ms, x in ((100, 1.0), (200, 2.0), (150, 1.5)):
         stage.pose(ms, x)
-    latest, before = stage.window.latest(POSE, POSITION), stage.window.before(POSE, 199 * MS, POSITION)
+    latest = stage.window.latest(POSE, POSITION)
+    before = stage.window.before(POSE, 199 * MS, POSITION)
     assert latest
     assert (latest.stamp, latest.values) == (200 * MS, (2.0, 0.0))
     assert before
@@ -197,7 +198,8 @@ def test_messages_that_cannot_be_read_are_passed_over(stage: Stage) -> None:
     stage.insert(POSE, 110, b"\0\1\0\0cut off")
     stage.pose(200, 2.0)
     stage.insert(POSE, 210, b"")
-    latest, between = stage.window.latest(POSE, POSITION), stage.window.at(POSE, 150 * MS, POSITION)
+    latest = stage.window.latest(POSE, POSITION)
+    between = stage.window.at(POSE, 150 * MS, POSITION)
     assert latest
     assert latest.stamp == 200 * MS
     assert between

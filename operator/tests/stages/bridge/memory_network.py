@@ -58,7 +58,8 @@ class Network:
 
     def publish_due(self, messages: Sequence[tuple[MessageSink, int, bytes]], late_ns: int) -> PublishOutcome:
         assert self.clock is not None
-        late, most = 0, self.signals.pop(0) if self.signals else len(messages)
+        late = 0
+        most = self.signals.pop(0) if self.signals else len(messages)
         for count, (sink, due, data) in enumerate(messages[:most]):
             while (left := due - self.clock.now()) > 0:
                 self.clock.sleep(left)

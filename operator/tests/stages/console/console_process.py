@@ -59,7 +59,8 @@ class Feeding:
         self._thread.join(5)
 
     def _run(self) -> None:
-        event_due, number = time.monotonic(), 0
+        event_due = time.monotonic()
+        number = 0
         while not self._ending.wait(STEP_MS / 1000 - time.time() % (STEP_MS / 1000)):
             began = time.thread_time()
             poses = self.fleet.poses(now_ms() // STEP_MS)
@@ -90,7 +91,9 @@ def main() -> None:
     console = Console(model, People(None), PlatformInMemory().asking, around)
     server = AsgiServer(console.app, "127.0.0.1", 0)
     server.start()
-    began, spent, made = time.monotonic(), time.process_time(), feeding.made_seconds
+    began = time.monotonic()
+    spent = time.process_time()
+    made = feeding.made_seconds
     print(f"http://localhost:{server.port}/", flush=True)
     sys.stdin.read()
     used = time.process_time() - spent - (feeding.made_seconds - made)

@@ -32,7 +32,8 @@ def differences(agents: list[str]) -> Document:
         for path, after in (("chart", '"event-detector"'), ("version", '"0.2.3"'))
     ]
     for name in agents:
-        release, path = f"{name}/mqtt-bridge", "bridge.topics[2].name"
+        release = f"{name}/mqtt-bridge"
+        path = "bridge.topics[2].name"
         topic = f'"/vehicles/{name.replace("-", "_")}/lidar_center/pointcloud"'
         values.append({"release": release, "path": path, "before": None, "after": topic})
         values.append({"release": release, "path": "bridge.topics[0].depth", "before": "10", "after": "1000"})

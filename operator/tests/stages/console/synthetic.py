@@ -40,7 +40,8 @@ class Fleet:
         pair = random.Random(f"pair {number // 2}")  # noqa: S311
         silent = number % 20 == 7
         at_ms = 60_000 * (now_ms // 600_000) * 10 - 45_000 if silent else now_ms - number % 250
-        radius, speed = draw.uniform(60, 260), draw.uniform(6, 14) * draw.choice((-1, 1))
+        radius = draw.uniform(60, 260)
+        speed = draw.uniform(6, 14) * draw.choice((-1, 1))
         turn = draw.uniform(0, math.tau) + speed / radius * (at_ms / 1000 % 100_000)
         x = pair.uniform(-1, 1) * self.extent / 2 + draw.uniform(-60, 60) + radius * math.cos(turn)
         y = pair.uniform(-1, 1) * self.extent / 3 + draw.uniform(-60, 60) + radius * math.sin(turn)
@@ -345,7 +346,8 @@ def hex_word(seed: str, length: int) -> str:
 
 
 def task_document(event: Document, state: str) -> Document:
-    refused, ready = state.startswith("Refused"), state in ("Ready", "Withdrawn")
+    refused = state.startswith("Refused")
+    ready = state in ("Ready", "Withdrawn")
     accepted = {
         "type": "Accepted",
         "status": "False" if refused else "True",
@@ -415,7 +417,8 @@ def steps(event: Document, kind: str, identity: str) -> list[Document]:
     """A chain from the triggering message to the removal, with the thing that was asked for in it."""
     began, one = event["began_ms"], event["agents"][0]
     commit = hex_word(event["id"], 40)
-    topic, forge = event["causes"][0]["topic"], "http://forge.example.com"
+    topic = event["causes"][0]["topic"]
+    forge = "http://forge.example.com"
     release = identity if kind == "release" else f"cloud-0/recorder-{one}"
     rows = [
         ("message", None, topic, topic, "pose.position.x = 1.0, pose.position.y = 2.0", began - 13, None, ""),

@@ -119,14 +119,16 @@ class EncryptedBroker:
         folder.mkdir()
         (folder / "tls.crt").write_text(pair.certificate)
         (folder / "tls.key").write_text(pair.key)
-        tls, own = ServerVerification(self.folder / "ca.crt", NAME), ClientCertificate(folder)
+        tls = ServerVerification(self.folder / "ca.crt", NAME)
+        own = ClientCertificate(folder)
         sent = SendingBoth if says else BrokerAccount
         return sent("127.0.0.1", self.port, says or name, password(says or name), tls, own)
 
     def shown(self) -> bytes:
         """The certificate that a client sees now, valid or not."""
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-        context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+        context.check_hostname = False
+        context.verify_mode = ssl.CERT_NONE
         with socket.create_connection(("127.0.0.1", self.port), 5) as plain, context.wrap_socket(plain) as encrypted:
             return encrypted.getpeercert(binary_form=True) or b""
 

@@ -128,7 +128,8 @@ class Stage:
         self.repository.push({"policies/initial.yaml": "add: []\nremove: []\n"}, "seed")
         self.catalogue.push(catalogue_files((image,) if image else ()), "seed")
         self.forge = MemoryForge(self.repository)
-        self.tasks, self.argocd = MemoryTasks(), MemoryArgoCD()
+        self.tasks = MemoryTasks()
+        self.argocd = MemoryArgoCD()
         self.leadership = MemoryLeadership()
         self.seconds = 0.0
         self.manager = self.start()
@@ -145,7 +146,8 @@ class Stage:
         def at_once(call: Callable[[], None]) -> None:
             call()
 
-        catalogue, main = AssuredCatalogue(self.catalogue, self.verifier), MainReader(self.repository)
+        catalogue = AssuredCatalogue(self.catalogue, self.verifier)
+        main = MainReader(self.repository)
         render = Jinja2Templates().render
         looked_up = VerifiedImages(self.images)
         ahead = ValidationAhead(Answering())

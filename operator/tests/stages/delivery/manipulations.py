@@ -490,7 +490,8 @@ def everything_put_back(platform: Platform) -> None:
 
 def newest_outcome_rewritten_without_a_trace(platform: Platform) -> None:
     """Nothing that the gate signed came after it."""
-    main, commit = platform.deployment, platform.names["second"]
+    main = platform.deployment
+    commit = platform.names["second"]
     text = main.note(OUTCOMES, commit)
     notes = main.git[main.git.references[OUTCOMES].target]
     main.move(str(notes.parent_ids[0]), OUTCOMES)

@@ -102,13 +102,15 @@ class Listener:
 
     def last_heard(self, applied: Callable[[], bool]) -> float:
         """The time of the last message: nothing comes any more once the broker has the table."""
-        known, at = len(self._connection.received), time.monotonic()
+        known = len(self._connection.received)
+        at = time.monotonic()
         end = at + WAIT_SECONDS_MAX
         while not applied() or time.monotonic() - at < QUIET_SECONDS:
             if time.monotonic() > end:
                 raise TimeoutError("the right does not end")
             if len(self._connection.received) > known:
-                known, at = len(self._connection.received), time.monotonic()
+                known = len(self._connection.received)
+                at = time.monotonic()
             time.sleep(POLL_SECONDS)
         return at
 
@@ -159,8 +161,10 @@ def measure(folder: Path, count: int) -> dict[str, list[float]]:
     """On a forge and a broker of their own."""
     main_follower.RESYNC_SECONDS = NO_RESYNC_SECONDS  # the webhook alone is what brings it
     passwords = {account: secrets.token_hex(12) for account in ACCOUNTS}
-    webhook, port = secrets.token_hex(12), free_port()
-    broker, forge = RightsBroker(folder / "broker", encrypted=True), ForgeProcess(folder / "forge")
+    webhook = secrets.token_hex(12)
+    port = free_port()
+    broker = RightsBroker(folder / "broker", encrypted=True)
+    forge = ForgeProcess(folder / "forge")
     stopping = threading.Event()
     broker.start()
     forge.start()
@@ -168,7 +172,8 @@ def measure(folder: Path, count: int) -> dict[str, list[float]]:
         forge_of_rights(forge, passwords, f"http://127.0.0.1:{port}/webhook", webhook)
         account = Credentials("rights", passwords["rights"])
         settings = ForgeSettings(ForgeAddress(forge.url), account, "main", deployment=REPOSITORY)
-        listen, owner = Listen("127.0.0.1", port), broker.account("rights")
+        listen = Listen("127.0.0.1", port)
+        owner = broker.account("rights")
         configuration = RightsConfiguration(listen, "INFO", settings, webhook, owner, broker.accounts)
         rights = AnnouncedRights(configuration, settings.clone(REPOSITORY, folder / "work"))
         running = threading.Thread(target=rights.run, args=(stopping,), daemon=True)

@@ -73,17 +73,20 @@ def start_manager(
 ) -> RunningManager:
     """A new manager on `folder`; it leads, unless a test says otherwise. `images`: what renders releases; `reserved`:
     agents that main may enroll, whose Nodes, of vehicles, are there."""
-    url, account = installation.url, ("manager", installation.passwords["manager"])
+    url = installation.url
+    account = ("manager", installation.passwords["manager"])
     deployment = GitClone(url, "robotkube/deployment", *account, folder / "deployment")
     relay = objects_relay(installation)
     proposals = ProposalWriter(folder / "deployment", *account, "robotkube-manager", time.time, send_objects=relay.send)
     catalogue = AssuredCatalogue(GitClone(url, "robotkube/catalogue", *account, folder / "catalogue"), trusted_keys())
     machines = (*AGENTS, *((name, "vehicle") for name in reserved))
     nodes = [NodeState(name, name, role, frozenset({"recording"}), True) for name, role in machines]
-    cluster, main = MemoryCluster(nodes), MainReader(deployment)
+    cluster = MemoryCluster(nodes)
+    main = MainReader(deployment)
     agents = (*AGENTS, *((name, "") for name in reserved))
     settings = ManagerSettings(tuple(Agent(name, role, name) for name, role in agents), CHARTS_URL)
-    render, looked_up = Jinja2Templates().render, VerifiedImages(images)
+    render = Jinja2Templates().render
+    looked_up = VerifiedImages(images)
     planner = Planner(settings, tasks, cluster, catalogue, main, render, validate, images=looked_up)
     observer = PlanObserver(cluster, MemoryArgoCD(), lambda call: call(), time.time_ns, time.monotonic)
     forge = GiteaForge(url, "robotkube/deployment", *account)

@@ -130,7 +130,8 @@ class RunningReleases:
         self.rights.broker.stop()
 
     def _start(self, release: Release, text: str) -> Running:
-        folder, port = self.folder / release.key, pods.free_port()
+        folder = self.folder / release.key
+        port = pods.free_port()
         folder.mkdir(parents=True)
         (folder / "config.yaml").write_text(text)
         environment = {

@@ -74,7 +74,8 @@ class Storm:
 
     def __init__(self, folder: Path, nodes: int) -> None:
         CATALOGUE.update({"applications/storm.yaml": APPLICATION, **published_chart("bag-player", "0.1.0", DIGEST)})
-        self.folder, self.agents = folder, [*AGENTS, *((f"edge-{number:04d}", "edge") for number in range(nodes))]
+        self.folder = folder
+        self.agents = [*AGENTS, *((f"edge-{number:04d}", "edge") for number in range(nodes))]
         self.stage = Stage(folder)
         self.server = ApiServerProcess(self._folder("api"))
         self.server.start()

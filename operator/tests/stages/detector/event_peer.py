@@ -35,7 +35,8 @@ class EventPeer:
 
     def __init__(self, broker: pods.Broker) -> None:
         account = BrokerAccount("127.0.0.1", broker.port, PEER, pods.password(PEER))
-        self.connections, self.heard = 0, list[dict[str, Any]]()
+        self.connections = 0
+        self.heard = list[dict[str, Any]]()
         self._answers: dict[int, bool] = {}
         self.channel = PahoChannel(lambda: account, f"{PEER}-telemetry", 60, self)
 

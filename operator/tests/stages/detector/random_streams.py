@@ -13,7 +13,8 @@ from tests.stages.detector.rules import MS, NOW, SECOND
 from tests.stages.detector.streams import Sent
 
 AGENTS = ("vehicle-00", "vehicle-01", "vehicle-02")
-STEPS, PERIOD = 80, 100 * MS
+STEPS = 80
+PERIOD = 100 * MS
 BEGIN = 200 * SECOND
 LATENCY_MAX = 20
 """ms that a message takes at most when nothing is wrong: less than its period, and than silence is told late."""

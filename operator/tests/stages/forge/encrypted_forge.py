@@ -117,7 +117,8 @@ class EncryptedForge:
     def shown(self) -> bytes:
         """The certificate that a client sees now, valid or not."""
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
-        context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+        context.check_hostname = False
+        context.verify_mode = ssl.CERT_NONE
         with socket.create_connection(("127.0.0.1", self.port), 10) as plain, context.wrap_socket(plain) as encrypted:
             return encrypted.getpeercert(binary_form=True) or b""
 

@@ -80,7 +80,8 @@ class ForgeStartError(RuntimeError):
     """The forge did not start; the message ends with its log."""
 
 
-ADMINISTRATOR, PASSWORD = "administrator", secrets.token_hex(12)  # of all forges of a process
+ADMINISTRATOR = "administrator"  # of all forges of a process
+PASSWORD = secrets.token_hex(12)
 
 
 @functools.cache

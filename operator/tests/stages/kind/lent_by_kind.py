@@ -42,7 +42,8 @@ def lent(engine: DockerEngine, machines: Sequence[Sequence[NodeSpec]]) -> Iterat
     namespace = Path(f"/proc/{engine.first}/ns/net")
     with open_to_all(distribution.ensure() / "registry", folder, GATEWAY, namespace) as registry:
         believe(hosts, registry.host, registry.authority)
-        kind, kubeconfig = str(kind_cli.ensure()), engine.folder / "kubeconfig"
+        kind = str(kind_cli.ensure())
+        kubeconfig = engine.folder / "kubeconfig"
         words = ["--config=-", f"--kubeconfig={kubeconfig}", "--wait=120s", f"--image={naming.reference()}"]
         text = yaml.safe_dump(_configuration(hosts), sort_keys=False)
         engine.run(kind, "create", "cluster", *words, seconds=CREATE_SECONDS_MAX, text=text)

@@ -89,7 +89,8 @@ class ApiServerProcess:
 
     def client(self) -> httpx.Client:
         """Requests of the administrator."""
-        headers, base = {"Authorization": f"Bearer {self.token}"}, f"https://{self.host}:{self.port}"
+        headers = {"Authorization": f"Bearer {self.token}"}
+        base = f"https://{self.host}:{self.port}"
         return httpx.Client(base_url=base, headers=headers, verify=believing(self.authority), timeout=30)
 
     def stop_server(self) -> None:

@@ -51,7 +51,8 @@ def make_argocd(api: client.ApiClient) -> None:
 
 def remove_argocd(api: client.ApiClient) -> None:
     """What stands in the namespace, whoever made it."""
-    core, objects = client.CoreV1Api(api), client.CustomObjectsApi(api)
+    core = client.CoreV1Api(api)
+    objects = client.CustomObjectsApi(api)
     objects.delete_collection_namespaced_custom_object("argoproj.io", "v1alpha1", NAMESPACE, "appprojects")
     client.AppsV1Api(api).delete_collection_namespaced_deployment(NAMESPACE)
     core.delete_collection_namespaced_secret(NAMESPACE)
@@ -83,9 +84,11 @@ def make_project(objects: client.CustomObjectsApi) -> None:
 
 def bootstrap_kubeconfig(server: ApiServerProcess, folder: Path) -> Path:
     """A kubeconfig of ServiceAccount `bootstrap` with the rules of the platform chart's Role, with TLS at the forge."""
-    api, lines = connect(server), ROLE.read_text().splitlines(keepends=True)
+    api = connect(server)
+    lines = ROLE.read_text().splitlines(keepends=True)
     text = "".join(line for line in lines if "{{" not in line)
-    core, rbac = client.CoreV1Api(api), client.RbacAuthorizationV1Api(api)
+    core = client.CoreV1Api(api)
+    rbac = client.RbacAuthorizationV1Api(api)
     account, role = {"metadata": {"name": "bootstrap"}}, {"metadata": {"name": "robotkube-bootstrap"}}
     rules = yaml.safe_load(text[text.index("\nrules:") :])["rules"]
     core.create_namespaced_service_account(NAMESPACE, account)

@@ -110,7 +110,9 @@ class RealNodes:
 
     def _node(self, index: int, node: str) -> None:
         self._hold(node, filtered=True)
-        own, machine, gateway = self.pid(node), self.pid(HOST), subnet(index).replace(".0/24", ".1/24")
+        own = self.pid(node)
+        machine = self.pid(HOST)
+        gateway = subnet(index).replace(".0/24", ".1/24")
         run_inside(machine, [f"link add cable{index} type veth peer name eth0 netns {own}"])
         run_inside(machine, [f"link set cable{index} master nodes up"])
         run_inside(own, [f"addr add {self.address(node)}/24 dev eth0", "link set eth0 up", "link add cni0 type bridge"])

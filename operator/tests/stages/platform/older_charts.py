@@ -14,7 +14,8 @@ from ci.folders import PROJECT
 from tests.stages.platform.running_platform import Platform
 
 # The chart links to the first files of the repositories.
-CHART, SEEDS = "charts/robotkube", ("gitops", "registry/policies")
+CHART = "charts/robotkube"
+SEEDS = ("gitops", "registry/policies")
 COLUMN = "Ready"  # of the definition of tasks, which the older charts are made to lack
 TASKS = "taskdescriptions.robotkube.io"
 DEFINITIONS = (TASKS, "inspections.robotkube.io")

@@ -120,6 +120,7 @@ def _tar(files: dict[str, bytes]) -> bytes:
     with tarfile.open(fileobj=output, mode="w") as bundle:
         for name, content in sorted(files.items()):
             entry = tarfile.TarInfo(name)
-            entry.size, entry.mode = len(content), 0o755
+            entry.size = len(content)
+            entry.mode = 0o755
             bundle.addfile(entry, io.BytesIO(content))
     return output.getvalue()

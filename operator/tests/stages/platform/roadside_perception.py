@@ -42,7 +42,8 @@ class RoadsidePerception:
 
 def cloud() -> bytes:
     """What a lidar on a standing vehicle sees of another one."""
-    rays, mount = scene.ray_directions(20_000), scene.Mount(0.0, 0.0, 1.9, 0.0)
+    rays = scene.ray_directions(20_000)
+    mount = scene.Mount(0.0, 0.0, 1.9, 0.0)
     noise = np.zeros(len(rays), np.float32)
     points = scene.cast(rays, mount, scene.Place(0.0, 0.0, 0.0), [scene.Place(*PLACE_M, 0.0)], noise)
     return messages.CloudWriter("roadside_0/lidar_center", len(rays)).message(0, points)
@@ -52,7 +53,8 @@ def play(stage: Stage) -> RoadsidePerception:
     """From the task until both services are gone."""
     task = stage.submit("cloud-0", "perception", application="environment-perception", parameters={"sensor": SITE})
     pods = stage.await_running(DETECTION, TRACKING)
-    releases, made = stage.releases_of(task), _commits(stage)
+    releases = stage.releases_of(task)
+    made = _commits(stage)
     charts, digests = ({one: stage.annotation(one, name) for one in pods} for name in ("chart", "chart-digest"))
     with stage.publishing(TRACKING, (cloud_topic(SITE), messages.CLOUD_TYPE, cloud()), hertz=5):
         [*_, objects] = stage.receive(TRACKING, "/vehicles/roadside_0/objects", POSES, MESSAGES)

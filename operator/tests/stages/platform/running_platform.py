@@ -60,7 +60,8 @@ def eventually(
 ) -> Any:
     """The first true answer; a poll that fails is repeated. Fails with `what` and the last answer, or the last poll's
     failure, after the bound, and with the `state` as it is then."""
-    end, last = time.monotonic() + seconds, None
+    end = time.monotonic() + seconds
+    last = None
     while time.monotonic() < end:
         try:
             if last := reached():

@@ -50,7 +50,8 @@ def counters(platform: Platform) -> InputCounters | None:
 
 def play(platform: Platform, scenario: Path, variant: str, folder: Path, seconds: float = STORY_SECONDS_MAX) -> Story:
     """Run to the end, for at most so many seconds; the run itself is judged by tests."""
-    before, pods = counters(platform), {}
+    before = counters(platform)
+    pods = {}
     output, talk = folder / "output", folder / "talk"
     command = [sys.executable, "-m", "scenarios.runner", "run", str(scenario), "--name", platform.name]
     command += [*(("--variant", variant) if variant else ()), "--reports", str(folder)]

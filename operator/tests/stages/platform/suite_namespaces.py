@@ -39,7 +39,8 @@ def request(platform: Platform, chart: Path, entry: Path, rule: SuiteRule, **mor
     with OciRegistry(forge.url, "gate", platform.password("gate")) as registry:
         digest = registry.push_chart(STAGING, packed, f"{packed.tag}_{packed.digest[7:19]}")
     artefact = Artefact(packed.name, packed.version, digest, "linux/amd64")
-    policy, attempt = f"sha256:{secrets.token_hex(32)}", secrets.token_hex(8)
+    policy = f"sha256:{secrets.token_hex(32)}"
+    attempt = secrets.token_hex(8)
     return SuiteRequest(artefact, f"{STAGING}/{packed.name}", policy, rule, document, attempt=attempt, **more)
 
 

@@ -223,7 +223,8 @@ class Stage:
         """No file on main, no Application and no pod of these releases."""
 
         def gone() -> bool:
-            known, applications = self.releases(), self.platform.access.applications()
+            known = self.releases()
+            applications = self.platform.access.applications()
             here = [one for one in releases if one in known or one.replace("/", "-") in applications]
             return not here and not any(self.pods(release) for release in releases)
 
@@ -294,7 +295,8 @@ def on_stage(platform: Platform) -> Iterator[Stage]:
     """A stage that begins with everything as main asks for and nothing on main that is being taken away, and ends with
     main asking for what it did before."""
     eventually("all Applications synced and healthy", platform.settled, SETTLED_SECONDS_MAX)
-    forge, story = platform.access.forge(), platform.scenario.story
+    forge = platform.access.forge()
+    story = platform.scenario.story
     person, approver = (platform.access.forge_account(name) for name in (story.person, story.approver))
     with Deployment(forge, *person, approver=approver) as deployment:
         stage = Stage(platform, deployment)

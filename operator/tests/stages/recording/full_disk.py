@@ -26,7 +26,8 @@ MESSAGES, BYTES, BATCH = 12_000, 1000, 400
 
 def main() -> None:
     """Offer 12 MB, wait until they are spooled or given up, bring the database back."""
-    claim, deadline = Path(sys.argv[1]), time.monotonic() + float(sys.argv[2])
+    claim = Path(sys.argv[1])
+    deadline = time.monotonic() + float(sys.argv[2])
     database = RecordingDatabase(away=True)
     place = RecorderPlace(
         "n/claim",

@@ -37,7 +37,9 @@ CLOUD_EVERY = 5
 
 def main() -> None:
     """Record for SECONDS, then end as it should."""
-    port, claim, seconds = int(sys.argv[1]), Path(sys.argv[2]), float(sys.argv[3])
+    port = int(sys.argv[1])
+    claim = Path(sys.argv[2])
+    seconds = float(sys.argv[3])
     account = DatabaseLogin("127.0.0.1", port, DATABASE, "recorder", "secret", DATABASE)
     place = RecorderPlace(
         VOLUME,
@@ -60,7 +62,8 @@ def main() -> None:
 
 
 def _publish(recordings: Recordings, topic: str) -> None:
-    data, stamp = os.urandom(SIZES[topic]), time.time_ns()
+    data = os.urandom(SIZES[topic])
+    stamp = time.time_ns()
     sys.stdout.write(f"{topic} {stamp} {hashlib.sha256(data).hexdigest()}\n")
     sys.stdout.flush()
     recordings.offer(topic, PLAN.topics[topic == "/cloud"].type, Sample(stamp, stamp, data))

@@ -32,7 +32,8 @@ TOPICS = {
 }
 RECORDING, ENCOUNTER = "task-1", "encounter"
 DATABASE, VOLUME = "recordings_cloud_0", "cloud-0/recordings"
-FRAME, MOUNT = "vehicle_00/lidar_center", scene.MOUNTS[0]
+FRAME = "vehicle_00/lidar_center"
+MOUNT = scene.MOUNTS[0]
 POINTS = 20_000
 POSE_HZ, CLOUD_HZ = 100, 10
 NEAR_M, BEFORE_SECONDS = 30, 1
@@ -193,8 +194,10 @@ def drive(agent: str, seconds: float) -> Iterator[tuple[str, int, bytes]]:
     stamps = [(offset, 0) for offset in range(0, int(seconds * SECOND), SECOND // POSE_HZ)]
     if agent == AGENTS[0]:
         stamps += [(offset, 1) for offset in range(5_000_000, int(seconds * SECOND), SECOND // CLOUD_HZ)] + [(0, 2)]
-    poses, rays = messages.PoseWriter(), scene.ray_directions(POINTS)
-    clouds, noise = messages.CloudWriter(FRAME, len(rays)), rays[:, 0] * 0
+    poses = messages.PoseWriter()
+    rays = scene.ray_directions(POINTS)
+    clouds = messages.CloudWriter(FRAME, len(rays))
+    noise = rays[:, 0] * 0
     base = agent.replace("-", "_")
     for offset, kind in sorted(stamps):
         own = place(agent, offset)

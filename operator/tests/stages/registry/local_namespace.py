@@ -44,7 +44,8 @@ class LocalTestNamespace:
     seconds_left = 600.0
 
     def __init__(self, folder: Path, server: DatabaseServer | None = None) -> None:
-        self.folder, self.domain_id = folder, int(ros_domain())
+        self.folder = folder
+        self.domain_id = int(ros_domain())
         self.api = ApiServerInMemory()
         self.api.__enter__()
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
@@ -85,7 +86,8 @@ class LocalTestNamespace:
                 self.deployments[name] = item
 
     def _start(self, name: str, command: Sequence[str]) -> None:
-        place, self.ports[name] = self.folder / name, pods.free_port()
+        place = self.folder / name
+        self.ports[name] = pods.free_port()
         words = [self._placed(word, place) for word in local_command(command)]
         environment = self._environment(
             ROBOTKUBE_CONFIG=str(place / "config.yaml"),

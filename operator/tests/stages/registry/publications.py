@@ -55,7 +55,8 @@ class Publishing:
     def make(self) -> PublicationLoop:
         """A gate that was just started, on clones of its own; nothing runs yet."""
         self._made += 1
-        url, account = self.installation.url, ("gate", self.installation.passwords["gate"])
+        url = self.installation.url
+        account = ("gate", self.installation.passwords["gate"])
         folder = self.folder / f"gate-{self._made}"
         clone = GitClone(url, CATALOGUE, *account, folder)
         self.registry = OciRegistry(url, *account)
@@ -85,7 +86,8 @@ class Publishing:
         )
 
     def start(self) -> None:
-        loop, stopping = self.make(), threading.Event()
+        loop = self.make()
+        stopping = threading.Event()
         thread = threading.Thread(target=loop.run, args=(stopping,), daemon=True)
         thread.start()
         self._running = (loop, thread, stopping)

@@ -99,7 +99,8 @@ class ModelBuffer:
     def _restart(self, sample: Sample) -> str:
         self.counters["jumps"] += 1
         self.counters["cleared"] += len(self.kept)
-        self.kept, self.newest = [], None
+        self.kept = []
+        self.newest = None
         self._keep(sample)
         return JUMPED
 

@@ -33,5 +33,6 @@ def cloud(
 def seen_at(other: scene.Place) -> tuple[float, float]:
     """Where the lidar has the other vehicle's centre, in its own frame."""
     x, y = other.x - OWN.x - MOUNT.x, other.y - OWN.y - MOUNT.y
-    cosine, sine = math.cos(MOUNT.yaw), math.sin(MOUNT.yaw)
+    cosine = math.cos(MOUNT.yaw)
+    sine = math.sin(MOUNT.yaw)
     return cosine * x + sine * y, cosine * y - sine * x

@@ -84,7 +84,8 @@ class Ledgers:
 
 
 def main(folder: Path, seconds: float) -> None:
-    node, ledgers = RosNode(f"publisher_{os.getpid()}"), Ledgers(folder)
+    node = RosNode(f"publisher_{os.getpid()}")
+    ledgers = Ledgers(folder)
     poses = {a: node.advertise(f"/vehicles/{a}/pose", POSE) for a in AGENTS}
     clouds = {a: node.advertise(f"/vehicles/{a}/cloud", CLOUD, depth=50) for a in AGENTS}
     latched = {

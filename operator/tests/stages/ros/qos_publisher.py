@@ -33,7 +33,8 @@ def main(topic: str, wanted: dict[str, str | float]) -> None:
         profile.liveliness = LivelinessPolicy.MANUAL_BY_TOPIC
         profile.liveliness_lease_duration = Duration(seconds=float(wanted["lease"]))
     publisher = node.create_publisher(Float64, topic, profile)
-    number, count = -1.0, float(wanted.get("count", "inf"))
+    number = -1.0
+    count = float(wanted.get("count", "inf"))
     heard = count == float("inf")
     while True:
         heard = heard or publisher.get_subscription_count() > 0

@@ -127,7 +127,8 @@ class RandomTypes:
         if not self.types[type_name]:
             return None
         member = self.draw.choice(self.types[type_name])
-        path, reached = member.name, [value[member.name] for value in values]
+        path = member.name
+        reached = [value[member.name] for value in values]
         simple = member.type in NUMBERS or member.type in TEXTS
         if member.extent:
             if simple and self.draw.random() < 0.5:

@@ -28,10 +28,8 @@ SECONDS_MAX = 25.0
 
 def main(name: str, file: Path) -> None:
     ros_topics.KNOWN_SECONDS = 600.0  # the first renewal comes early enough, however slow the machine
-    topics, settings = (
-        RosTopics(RosNode("receiver")),
-        TopicSettings(TopicPattern(name), "std_msgs/msg/Float64", depth=COUNT),
-    )
+    topics = RosTopics(RosNode("receiver"))
+    settings = TopicSettings(TopicPattern(name), "std_msgs/msg/Float64", depth=COUNT)
     subscription = topics.subscribe(name, settings, QosProfile())
     numbers = list[float]()
     renewals = 0

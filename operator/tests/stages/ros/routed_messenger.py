@@ -31,7 +31,8 @@ def turn(said: RosPublisher, heard: RosSubscription) -> int:
 def main(own: str, peer: str) -> int:
     node = RosNode("messenger")
     topics = ("/b", "/a") if own > peer else ("/a", "/b")
-    said, heard = node.advertise(topics[0], TYPE), node.subscribe(topics[1], TYPE)
+    said = node.advertise(topics[0], TYPE)
+    heard = node.subscribe(topics[1], TYPE)
     print("before:", sum(turn(said, heard) for _ in range(TURNS_BEFORE)), flush=True)
     discovery = UnicastDiscovery(0, lambda: frozenset({own, peer}), lambda: frozenset({own}))
     end = time.monotonic() + SECONDS_MAX

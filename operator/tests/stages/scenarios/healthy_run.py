@@ -165,7 +165,8 @@ def _entry(name: str, topic: str, stamp: int, segment: str) -> dict[str, Any]:
 
 
 def _bucket(name: str, topic: str, stamp: int) -> dict[str, Any]:
-    received, data = stamp + DELAY, payload(topic, stamp)
+    received = stamp + DELAY
+    data = payload(topic, stamp)
     sample = {"stamp": stamp, "received": received, "sha256": digest(topic, stamp), "data": data}
     return {"recording": name, "topic": topic, "second": stamp // SECOND, "samples": [sample]}
 

@@ -74,7 +74,8 @@ def _distribution(document: Document, counted: Sequence[tuple[float, ...]]) -> D
 
 def quantile(counted: Sequence[tuple[float, ...]], share: float) -> float:
     """The upper edge in ms of the bucket that `share` of the poses do not exceed."""
-    needed, reached = ceil(share * sum(poses for _, poses in counted)), 0.0
+    needed = ceil(share * sum(poses for _, poses in counted))
+    reached = 0.0
     for age, poses in sorted(counted):
         reached += poses
         if reached >= needed:

@@ -50,7 +50,8 @@ def coverage(document: Document) -> Iterator[Drawing]:
         raise NoDrawingError("there are no recorded messages in report.json")
     bottom = TOP + ROW_HEIGHT * sum(one.rows for one in shown)
     axes = Axes(scale(_times(shown), NAMES, RIGHT - 34), Scale(0.0, 1.0, bottom, TOP))
-    parts, row = [axes.drawn("seconds since the start, by source stamps", "")], 0
+    parts = [axes.drawn("seconds since the start, by source stamps", "")]
+    row = 0
     for one in shown:
         parts += _rows(axes, row, one)
         row += one.rows
@@ -63,7 +64,8 @@ def coverage(document: Document) -> Iterator[Drawing]:
 
 
 def _recorded(number: int, one: Document) -> Recorded:
-    window, lost = _span(one.get("window")), one.get("lost")
+    window = _span(one.get("window"))
+    lost = one.get("lost")
     length = f"window {window[1] - window[0]:.1f} s" if window else "no window"
     title = f"recording {number}: {length}, lost {'not known' if lost is None else lost}"
     return Recorded(
@@ -108,7 +110,8 @@ def _topic(axes: Axes, top: float, topic: Document, span: Span | None, gaps: Seq
         left, right = axes.x(span[0]), axes.x(span[1])
         yield rectangle((left, top), max(right - left, 1.0), BAR_HEIGHT, "recorded", f"{name}: {topic['messages']}")
     for begin, end in gaps:
-        left, width = axes.x(begin), max(axes.x(end) - axes.x(begin), GAP_WIDTH_MIN)
+        left = axes.x(begin)
+        width = max(axes.x(end) - axes.x(begin), GAP_WIDTH_MIN)
         yield rectangle((left, top - 1), width, BAR_HEIGHT + 2, "gap", f"nothing from {begin:.3f} to {end:.3f} s")
 
 

@@ -30,7 +30,8 @@ class Scale:
     def ticks(self, count: int = TICKS) -> tuple[float, ...]:
         """Round values on the scale, at most about `count`."""
         step = step_of((self.high - self.low) / count)
-        first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
+        first = math.ceil(self.low / step - 1e-9)
+        last = math.floor(self.high / step + 1e-9)
         return tuple(number * step for number in range(first, last + 1))
 
 
@@ -43,7 +44,8 @@ def step_of(width: float) -> float:
 def scale(values: Iterable[float], begin: float, end: float, least: float = 1.0) -> Scale:
     """The scale of the values, at least `least` wide."""
     known = list(values)
-    low, high = min(known, default=0.0), max(known, default=0.0)
+    low = min(known, default=0.0)
+    high = max(known, default=0.0)
     missing = max(0.0, least - (high - low)) / 2
     return Scale(low - missing, high + missing, begin, end)
 

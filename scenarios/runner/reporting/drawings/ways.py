@@ -81,7 +81,8 @@ def _gantt(name: str, title: str, bars: Sequence[Bar]) -> Drawing:
 def _row(axes: Axes, row: int, bar: Bar) -> Iterator[Element]:
     top = TOP + ROW_HEIGHT * row + (ROW_HEIGHT - BAR_HEIGHT) / 2
     left, right = axes.x(bar.begin), axes.x(bar.end)
-    kind, text = "critical" if bar.critical else "beside", f"{bar.end - bar.begin:.3f} s"
+    kind = "critical" if bar.critical else "beside"
+    text = f"{bar.end - bar.begin:.3f} s"
     yield label((NAMES - 5, top + 9), shortened(bar.step, NAMES - 6), "label", "end")
     yield rectangle((left, top), max(right - left, WIDTH_MIN), BAR_HEIGHT, kind, f"{bar.step}: {text}")
     yield label((right + 4, top + 9), text, "tick")

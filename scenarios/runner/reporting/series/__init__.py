@@ -30,7 +30,8 @@ SOURCES: dict[str, Source] = {
 
 def series(scenario: Scenario, inputs: RunInputs, met: Sequence[Encounter]) -> tuple[dict[str, Any], tuple[str, ...]]:
     """All series by name, and a warning for each that could not be made: none of them loses a report."""
-    made, warnings = {}, []
+    made = {}
+    warnings = []
     for name, source in SOURCES.items():
         try:
             made[name] = source(scenario, inputs, met)

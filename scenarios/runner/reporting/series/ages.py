@@ -16,7 +16,8 @@ from scenarios.runner.reporting.series.thinning import groups
 def ages(scenario: Scenario, inputs: RunInputs, _met: Sequence[Encounter]) -> dict[str, Any] | None:
     """One histogram of the ages of all poses in whole ms, and p50 and p99 per second and vehicle; None when the
     counters do not cover the run."""
-    after, counted = same_process(inputs), pose_ages(scenario, inputs)
+    after = same_process(inputs)
+    counted = pose_ages(scenario, inputs)
     if after is None or counted is None:
         return None
     known = sorted(age for age, poses in counted.items() if poses > 0)

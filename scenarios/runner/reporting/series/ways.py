@@ -81,7 +81,9 @@ def _moments(one: Encounter) -> Iterator[tuple[str, int | None]]:
 
 def _deployment(one: Encounter) -> Iterator[Span]:
     """The breakdown of the report, with the pose's way before it and what ran beside it."""
-    plan, first, pod = one.plan, one.first_cloud, _first_running(one.pods)
+    plan = one.plan
+    first = one.first_cloud
+    pod = _first_running(one.pods)
     yield from _plan_made(one.start, plan)
     merged, running = plan.merged if plan else None, pod.running if pod else None
     created = min((other.created for other in one.pods), default=None)

@@ -88,7 +88,8 @@ def list_agents(options: argparse.Namespace) -> Table:
         commits = main.commits({})
         files = main.files(commits[-1].id, (RELEASES,)) if commits else {}
     said = OfMain(revocations(commits), enrollments(commits), _versions(read_tree(files).releases.values()))
-    nodes, leases = platform.agent_nodes(), platform.node_leases()
+    nodes = platform.agent_nodes()
+    leases = platform.node_leases()
     ends = Ends(token_ends(platform), registers.read(platform.certificate_register()).ends())
     shared = Table("shared_nodes", TRIAL, shared_rows(nodes))
     return Table("agents", COLUMNS, rows(accounts.agents, said, nodes, leases, ends), more=(shared,))

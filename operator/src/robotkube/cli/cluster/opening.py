@@ -28,7 +28,8 @@ DEPLOYMENT = "robotkube/deployment"
 FLEET, WHY, PLAN, RECORDING = "fleet", "why", "plan", "recording"
 KINDS = ("event", "task", "plan", "pod", "release", "commit")
 TLS_PORTS = (443, 8443)
-HERE, ANSWERS_SECONDS_MAX = "localhost", 2.0
+HERE = "localhost"
+ANSWERS_SECONDS_MAX = 2.0
 FORGE_SECONDS_MAX = 3.0
 PAGES_MADE = "/assets/licenses.txt"  # there with all that the forge's pages load, and served without signing in
 VIEWER = "viewer"  # the account of the embedded cluster that sees pull requests and nothing else
@@ -126,9 +127,11 @@ def _path(platform: Platform, what: str, wanted: str) -> str:
         return f"/#/recordings/{quote(wanted, safe='')}"
     plans = platform.page("/plans")["plans"]
     if what == PLAN:
-        kind, name = PLAN, str(named_plan(wanted, plans)["plan"])
+        kind = PLAN
+        name = str(named_plan(wanted, plans)["plan"])
     else:
-        kind, name = kind_of(wanted, platform.tasks(), plans, platform.pods()), wanted
+        kind = kind_of(wanted, platform.tasks(), plans, platform.pods())
+        name = wanted
     return f"/#/{WHY}/{kind}/{quote(name)}"
 
 

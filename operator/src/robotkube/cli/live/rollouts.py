@@ -30,7 +30,8 @@ def rolled_out(item: Object) -> bool:
 
 def describe_rollout(item: Object) -> Iterator[str]:
     """Why it is not rolled out, as far as it says so itself."""
-    name, status = item["metadata"]["name"], item.get("status") or {}
+    name = item["metadata"]["name"]
+    status = item.get("status") or {}
     if item["kind"] == JOB:
         failed = _condition(item, "Failed")
         why = f"failed: {failed.get('reason')}: {failed.get('message')}" if failed else "has not succeeded yet"

@@ -90,7 +90,9 @@ def _domain(platform: Platform, options: argparse.Namespace) -> Domain:
     tests = tuple(name for name in platform.namespaces() if TEST_NAMESPACE.fullmatch(name))
     sources = platform.project(PROJECT)["spec"].get("sourceRepos") or [""]
     charts = str(sources[0]).removesuffix("/*")
-    own, gate, argocd = options.platform_namespace, platform.gate_namespace(), options.argocd_namespace
+    own = options.platform_namespace
+    gate = platform.gate_namespace()
+    argocd = options.argocd_namespace
     return Domain(tuple(platform.agents()), tests, charts, own, gate, argocd)
 
 

@@ -18,7 +18,8 @@ from robotkube.foundation.documents.core.patterns import DNS_NAME, HTTP_URL, NAM
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.runtime import settings_file as files
 
-LIFE_SECONDS_MIN, LIFE_SECONDS_MAX = 10, 825 * 86_400
+LIFE_SECONDS_MIN = 10
+LIFE_SECONDS_MAX = 825 * 86_400
 FORMER_KEYS = (FormerKey("certificate", "certificates", convert=lambda one: [one]),)
 
 

@@ -127,7 +127,8 @@ def test_agents_that_share_nodes_leave_nothing_either(api: Api, given: GivenClus
 
 
 def test_nothing_is_written_until_somebody_agrees(api: Api, given: GivenCluster) -> None:
-    before, asked = everything(api), []
+    before = everything(api)
+    asked = []
 
     def refuse(text: str) -> bool:
         asked.append(text)
@@ -150,7 +151,8 @@ def test_who_writes_to_a_node_meanwhile_is_not_overrun(
     api: Api, given: GivenCluster, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A Node changes between reading and writing: it is read again, and what the other one wrote stays."""
-    listed, turns = GivenNodes.objects, []
+    listed = GivenNodes.objects
+    turns = []
 
     def meanwhile(self: GivenNodes) -> list[Mapping[str, Any]]:
         nodes = listed(self)

@@ -116,7 +116,8 @@ def given(server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> It
     monkeypatch.setattr(registry, "require", lambda *_: None)
     entries = [{"node": node, "role": role, "agent": agent} for node, (role, agent) in AGENTS.items()]
     (tmp_path / "agents.yaml").write_text(yaml.safe_dump({"agents": entries}))
-    agents, kubeconfig = tmp_path / "agents.yaml", str(server.process.kubeconfig)
+    agents = tmp_path / "agents.yaml"
+    kubeconfig = str(server.process.kubeconfig)
     reached = GivenCluster(kubeconfig, registry="registry.example/r", agents=agents, agreed=True)
     provider = Existing(reached, binaries=programs())
     yield provider

@@ -143,7 +143,8 @@ class TestArchives:
         monkeypatch.setenv(archives.VARIABLE, str(tmp_path))
         bundle = tmp_path / "robotkube-0.1.0.tar"  # a person put it there
         bundle.touch()
-        work, image = tmp_path / "work", built_image(tmp_path, "platform")
+        work = tmp_path / "work"
+        image = built_image(tmp_path, "platform")
         there = K3sNode("n", "", VERSION, "boot", images=frozenset({image.reference}))
         archives.bring([image], work, lambda: [there])
         [first] = archives.archives()

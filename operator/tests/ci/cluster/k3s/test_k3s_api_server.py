@@ -195,7 +195,8 @@ def test_images_are_a_file_that_is_agreed_to_and_goes_again(
     api: Api, given: GivenCluster, images: list[Image], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(archives, "POLL_SECONDS", 0.05)
-    before, asked = everything(api), []
+    before = everything(api)
+    asked = []
 
     def yes(question: str) -> bool:
         asked.append(question)

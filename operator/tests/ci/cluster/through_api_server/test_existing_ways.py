@@ -120,7 +120,8 @@ def bag(folder: Path, text: str) -> Path:
 
 def test_a_bag_is_copied_once_and_replaced_by_another(volumes: PodVolumes, tmp_path: Path) -> None:
     volumes.use([CLAIM])
-    first, claim = bag(tmp_path / "one" / "vehicle-00", "first"), tmp_path.joinpath(*CLAIM)
+    first = bag(tmp_path / "one" / "vehicle-00", "first")
+    claim = tmp_path.joinpath(*CLAIM)
     assert not volumes.place(CLAIM, first)
     assert (claim / "vehicle-00" / "vehicle-00.mcap").read_text() == "first"
     assert not volumes.place(CLAIM, first)

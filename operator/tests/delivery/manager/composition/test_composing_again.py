@@ -147,9 +147,11 @@ class Step:
 def steps(seed: int) -> tuple[Step, ...]:
     """The steps of one history, composed from scratch; after some steps the same inputs with fewer demands, as they are
     tried to settle conflicts."""
-    history, made = History(random.Random(seed)), []  # noqa: S311 - a case is named by its number
+    history = History(random.Random(seed))  # noqa: S311 - a case is named by its number
+    made = []
     for _ in range(STEPS):
-        asked, given = history.demands(), history.inputs()
+        asked = history.demands()
+        given = history.inputs()
         composition = compose(asked, given)
         made.append(Step(asked, given, composition))
         if history.chance.random() < 0.3 and asked:
@@ -195,7 +197,8 @@ def test_a_memo_keeps_as_much_as_it_may() -> None:
 
 
 def test_states_of_prefixes_are_bounded() -> None:
-    memo, asked = Memo(), demands(list(SMALL.tasks.values()))
+    memo = Memo()
+    asked = demands(list(SMALL.tasks.values()))
     for number in range(12):
         asked += demands([SMALL.new_task(number)])
         compose(asked, SMALL.inputs(RENDER, validate), memo)
@@ -213,7 +216,9 @@ def test_values_of_a_release_are_checked_again_when_they_have_changed() -> None:
 
 
 def test_composing_the_same_again_expands_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    memo, asked, inputs = Memo(), demands(list(SMALL.tasks.values())), SMALL.inputs(RENDER, validate)
+    memo = Memo()
+    asked = demands(list(SMALL.tasks.values()))
+    inputs = SMALL.inputs(RENDER, validate)
     composed = compose(asked, inputs, memo)
     monkeypatch.setattr("robotkube.delivery.manager.core.composition.memo.expand", None)
     assert compose(asked, inputs, memo) == composed
@@ -237,7 +242,8 @@ def on_roadside_0(asked: list[Demand], offered: Catalogue = PLAIN) -> dict[str, 
 def test_what_stays_is_not_placed_again_when_main_moves(monkeypatch: pytest.MonkeyPatch) -> None:
     asked = [demand(task("t0")), demand(task("t1"))]
     given = inputs(present=on_roadside_0(asked))
-    memo, composed = known(asked, given), compose(asked, given)
+    memo = known(asked, given)
+    composed = compose(asked, given)
     monkeypatch.setattr("robotkube.delivery.manager.core.composition.assignments.place", None)
     assert compose(asked, given, memo) == composed
 
@@ -261,7 +267,8 @@ def test_what_stays_asks_for_nothing_more_when_another_demand_plans_it() -> None
 
 @pytest.mark.parametrize("version", ["0.2.0", "0.1.0"])
 def test_what_has_come_to_main_keeps_the_version_that_main_has(version: str) -> None:
-    memo, asked = Memo(), [demand(task())]
+    memo = Memo()
+    asked = [demand(task())]
     given = inputs(catalogue(application(ONE), chart(version="0.2.0")))
     composed = compose(asked, given, memo)
     key = next(release.key for release in composed.releases.values())
@@ -273,7 +280,8 @@ def test_what_has_come_to_main_keeps_the_version_that_main_has(version: str) -> 
 
 def test_large_inputs_are_answered_the_same_again_and_again() -> None:
     case: Synthetic = synthetic(RENDER, validate, charts=10, versions=2, nodes=60, task_count=65)
-    memo, standing = Memo(), list(case.tasks.values())
+    memo = Memo()
+    standing = list(case.tasks.values())
     given: Any = case.inputs(RENDER, validate)
     for number in (1, 2, 3):
         asked = demands([*standing, case.new_task(number)])

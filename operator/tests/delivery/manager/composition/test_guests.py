@@ -108,7 +108,8 @@ def test_a_chart_that_knows_no_guests_goes_to_hosts_and_says_why() -> None:
 
 def test_who_becomes_a_guest_or_a_host_is_written_anew_though_all_was_composed_before() -> None:
     """Only the Node's labels change; what was composed is not taken from before."""
-    memo, bound = Memo(), catalogue(application(BOUND))
+    memo = Memo()
+    bound = catalogue(application(BOUND))
     selectors = set()
     demands = [demand(task(parameters={"agents": ["roadside-1"]}))]
     own = replace(NODES[1], name="worker")

@@ -279,7 +279,8 @@ def test_groups_bridges_and_room_in_any_fleet(seed: int) -> None:
     known = catalogue(
         application(*services, links=[ROS, TO_CLOUD]), bridge, chart(resources={"cpu": "200m", "memory": "64Mi"}), light
     )
-    memo, present = Memo(), dict[str, Release]()
+    memo = Memo()
+    present = dict[str, Release]()
     asked: list[Demand] = several(chance.randint(1, 6))
     for _ in range(4):
         nodes = machines(chance)

@@ -25,10 +25,8 @@ pytestmark = pytest.mark.toolchain
 def test_a_vehicle_enrolled_in_mid_run_takes_part(
     installation: Installation, gate: RunningGate, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    manager, person = (
-        start_manager(installation, tmp_path, MemoryTasks(), reserved=[NEW]),
-        Person(installation, tmp_path),
-    )
+    manager = start_manager(installation, tmp_path, MemoryTasks(), reserved=[NEW])
+    person = Person(installation, tmp_path)
 
     def by_people(*words: str) -> None:
         capsys.readouterr()

@@ -141,10 +141,12 @@ class Story:
 
     def __init__(self, installation: Installation, manager_api: Api, hook: str, folder: Path) -> None:
         self.installation, self.api, self.hook, self.folder = installation, manager_api, hook, folder
-        self.lease, self.pods = manager_api.lease(), list[Pod]()
+        self.lease = manager_api.lease()
+        self.pods = list[Pod]()
 
     def start(self, point: str = "") -> Pod:
-        port, folder = free_port(), self.folder / f"pod-{len(self.pods)}"
+        port = free_port()
+        folder = self.folder / f"pod-{len(self.pods)}"
         folder.mkdir(parents=True)
         config = write_settings(outside(self.installation), folder, port, self.lease)
         self.pods.append(Pod(config, self.api.kubeconfig, port, "manager-0", point))
@@ -191,7 +193,8 @@ class Story:
     def plans(self, task: str) -> list[str]:
         """Plans on main that name the task."""
         clone = self.installation.clone("argocd")
-        at, identifiers = clone.repository[clone.tip()], []
+        at = clone.repository[clone.tip()]
+        identifiers = []
         while at is not None:
             if f"RobotKube-Task: cloud-0/{task}\n" in at.message:
                 identifiers.append(read_message(at.message).plan)
@@ -216,7 +219,8 @@ class Story:
 @pytest.fixture(scope="module")
 def begun(own_installation: Installation, manager_api: Api, tmp_path_factory: pytest.TempPathFactory) -> Installation:
     """The initial configuration is on main."""
-    controller, folder = ApplicationSetController(), tmp_path_factory.mktemp("begun")
+    controller = ApplicationSetController()
+    folder = tmp_path_factory.mktemp("begun")
     story = Story(own_installation, manager_api, controller.url, folder)
     gate = start_gate(own_installation, controller.url, folder / "gate")
     try:

@@ -189,7 +189,8 @@ def test_a_server_that_goes_away_and_comes_back(api_server: ApiServerProcess, ap
 def test_what_stands_in_a_tasks_way_is_an_event_once(api: Api, seen: Seen) -> None:
     api.task("held")
     until(lambda: seen.task_names() == ["held"], "task seen")
-    task, text = seen.cluster.tasks()[0], "the gate does not take this: é" + "x" * 2000
+    task = seen.cluster.tasks()[0]
+    text = "the gate does not take this: é" + "x" * 2000
     seen.cluster.report_on_task(task, "ProposalRefused", text)
     seen.cluster.report_on_task(task, "ProposalRefused", text)
     seen.cluster.report_on_task(task, "GateUnavailable", "no verdict")

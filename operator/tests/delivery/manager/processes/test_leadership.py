@@ -53,7 +53,8 @@ class Replicas:
         self.pods: list[Pod] = []
 
     def start(self, point: str = "") -> Pod:
-        port, folder = free_port(), self.folder / f"pod-{len(self.pods)}"
+        port = free_port()
+        folder = self.folder / f"pod-{len(self.pods)}"
         folder.mkdir()
         config = write_settings(outside(self.installation), folder, port, self.lease)
         pod = Pod(config, self.api.kubeconfig, port, folder.name, point)
@@ -117,7 +118,8 @@ def delivered(pod: Pod, secret: str) -> bool:
 def terms_on_main(installation: Installation, task: str) -> list[int]:
     """Terms of the plans that name a task, oldest first."""
     clone = installation.clone("argocd")
-    at, terms = clone.repository[clone.tip()], []
+    at = clone.repository[clone.tip()]
+    terms = []
     while at is not None:
         if f"RobotKube-Task: {task}\n" in at.message:
             terms.append(read_message(at.message).term)

@@ -162,7 +162,8 @@ def test_an_entry_edited_to_verified_without_evidence_is_no_verified_version(
     installation: Installation, manager: RunningManager
 ) -> None:
     """Somebody who may write the catalogue writes a newer version of the detector by hand, and withdraws the proved."""
-    digest, version = "sha256:" + "d" * 64, "0.2.4"
+    digest = "sha256:" + "d" * 64
+    version = "0.2.4"
     proved = CATALOGUE["charts/event-detector/0.2.3.yaml"]
     edited = unproved_chart("event-detector", version, digest)
     edited["charts/event-detector/0.2.3.yaml"] = proved.replace("state: verified", "state: withdrawn")
@@ -203,7 +204,8 @@ def test_a_new_process_takes_an_open_proposal_over_and_closes_another(
     number = manager.tasks.objects[KEY]["status"]["pullRequest"]["number"]
     plan = manager.plans()[-1]["plan"]
     manager.stop()
-    clone, topic = installation.clone("manager"), installation.plan()
+    clone = installation.clone("manager")
+    topic = installation.plan()
     unwanted = installation.propose(clone, clone.commit({"README.md": "x\n"}, "x\n", [clone.tip()]), topic)
     again = start_manager(installation, tmp_path / "again", manager.tasks)
     try:

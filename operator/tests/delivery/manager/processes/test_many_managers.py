@@ -135,7 +135,8 @@ class Running:
 
 def make(installation: Installation, name: str, folder: Path) -> Running:
     """A manager that knows all agents and has its own two as scope."""
-    url, account = installation.url, (name, installation.passwords[name])
+    url = installation.url
+    account = (name, installation.passwords[name])
     deployment = GitClone(url, "robotkube/deployment", *account, folder / "deployment")
     relay = objects_relay(installation, name)
     proposals = ProposalWriter(folder / "deployment", *account, name, time.time, send_objects=relay.send)
@@ -146,7 +147,9 @@ def make(installation: Installation, name: str, folder: Path) -> Running:
     declared = tuple(DeclaredManager(one, Scope(agents, agents)) for one, agents in scopes.items())
     operators = Operators(Scope(scopes[name], scopes[name]), managers=declared)
     settings = ManagerSettings(tuple(Agent(a, role, a) for a, role in roles), CHARTS_URL, operators)
-    tasks, cluster, main = MemoryTasks(), MemoryCluster(nodes), MainReader(deployment)
+    tasks = MemoryTasks()
+    cluster = MemoryCluster(nodes)
+    main = MainReader(deployment)
     planner = Planner(settings, tasks, cluster, catalogue, main, Jinja2Templates().render, validate)
     observer = PlanObserver(cluster, MemoryArgoCD(), lambda call: call(), time.time_ns, time.monotonic)
     forge = GiteaForge(url, "robotkube/deployment", *account)
@@ -238,7 +241,8 @@ def test_two_managers_answer_an_application_over_their_border_by_consent(
 def plans_on_main(installation: Installation) -> list[tuple[str, str, tuple[str, tuple[str, ...]]]]:
     """Id, manager, verb and tasks of every plan on main, oldest first."""
     clone = installation.clone("argocd")
-    at, plans = clone.repository[clone.tip()], []
+    at = clone.repository[clone.tip()]
+    plans = []
     while at is not None:
         if "\nRobotKube-Plan: " in at.message:
             message = read_message(at.message)

@@ -55,7 +55,8 @@ def objects_url(gate: RunningGate, certificate: Path) -> Iterator[str]:
 def pod(
     installation: Installation, objects_url: str, certificate: Path, manager_api: Api, tmp_path: Path
 ) -> Iterator[Pod]:
-    port, lease = free_port(), manager_api.lease()
+    port = free_port()
+    lease = manager_api.lease()
     listen = {"address": HERE, "port": port, "health_port": free_port(), "certificate": str(certificate)}
     settings = write_settings(
         replace(outside(installation), objects_url=objects_url),

@@ -56,7 +56,8 @@ class CertificateKeeper:
 
     def run(self, stopping: threading.Event) -> None:
         """Keep them until `stopping` is set."""
-        interval, failures = self._interval, 0
+        interval = self._interval
+        failures = 0
         while not stopping.wait(0.0):
             self.step()
             failures = failures + 1 if self.problem else 0
@@ -128,7 +129,8 @@ class CertificateKeeper:
 
     def _renewed(self, certificate: ServerCertificate, authority: Pair) -> Life:
         """The life of a server's certificate, renewed where that is due."""
-        secret, now = certificate.secret, self._wall()
+        secret = certificate.secret
+        now = self._wall()
         addresses = self._objects.addresses(certificate.service) if certificate.service else ()
         names = (*certificate.names, *(one for one in addresses if one not in certificate.names))
         present = self._objects.certificate(secret)

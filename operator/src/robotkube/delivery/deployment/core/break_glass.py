@@ -42,7 +42,9 @@ KEY_TYPE = "ssh-ed25519"
 KEY_BYTES, SIGNATURE_BYTES = 32, 64
 
 _GLASS, _SIGNED = "RobotKube-Break-Glass: ", "RobotKube-Signed-By: "
-_MAGIC, _VERSION, _DIGEST = b"SSHSIG", 1, b"sha512"
+_MAGIC = b"SSHSIG"
+_VERSION = 1
+_DIGEST = b"sha512"
 _TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", re.ASCII)
 _REASON = re.compile(r"[!-~][ -~]{0,198}[!-~]|[!-~]", re.ASCII)
 

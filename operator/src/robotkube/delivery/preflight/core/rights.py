@@ -88,7 +88,9 @@ def _not_givable(needed: NeededRights, missing: frozenset[ApiRight]) -> Iterator
 
 def _on(item: Object, rendering: RenderedChart) -> Iterator[ApiRight]:
     verbs = HOOK_VERBS if annotations_of(item).get(HOOK) else OBJECT_VERBS
-    group, resource, namespace = group_of(item), plural(str(item.get("kind"))), rendering.namespace_of(item)
+    group = group_of(item)
+    resource = plural(str(item.get("kind")))
+    namespace = rendering.namespace_of(item)
     return (ApiRight(verb, group, resource, namespace) for verb in verbs)
 
 

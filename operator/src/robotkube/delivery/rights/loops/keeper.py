@@ -112,7 +112,8 @@ class Keeper:
         wanted = wanted_roles(main.table)
         connections = self._control.connections
         standing = self._standing()
-        lists, foreign = role_changes(standing, wanted), list(foreign_changes(standing, wanted))
+        lists = role_changes(standing, wanted)
+        foreign = list(foreign_changes(standing, wanted))
         access = access_changes(standing, wanted, main.shut)
         self._tell(standing, wanted, foreign, again)
         requests = [change.request for change in (*foreign, *lists, *access)]
@@ -143,7 +144,8 @@ class Keeper:
 
     def _note_access(self, main: MainTable) -> None:
         """Say who is shut out from now on, and who no more, and who is enrolled."""
-        before, now = self._revoked, main.revoked or {}
+        before = self._revoked
+        now = main.revoked or {}
         for agent in sorted(now.keys() - before.keys()):
             log.warning("account revoked agent=%s commit=%s reason=%r", agent, main.commit[:12], now[agent])
         for agent in sorted(before.keys() - now.keys()):
@@ -152,7 +154,9 @@ class Keeper:
             log.info("agent enrolled agent=%s role=%s commit=%s", agent, main.enrolled[agent], main.commit[:12])
         for agent in sorted(self._enrolled.keys() - main.enrolled.keys()):
             log.warning("agent withdrawn agent=%s commit=%s", agent, main.commit[:12])
-        self._shut, self._revoked, self._enrolled = main.shut, now, main.enrolled
+        self._shut = main.shut
+        self._revoked = now
+        self._enrolled = main.enrolled
 
     def _standing(self) -> Standing:
         state = self._control.ask(STATE)
@@ -200,7 +204,8 @@ class Keeper:
 
     def metrics(self) -> Sequence[Series]:
         """What Prometheus reads."""
-        follower, prefix = self._follower(), "robotkube_rights_"
+        follower = self._follower()
+        prefix = "robotkube_rights_"
         main = follower.table
         listed = sum(len(one.grants) for one in main.granted.values()) if main else 0
         behind = "1 while the broker does not have main's table as main was seen or announced last, else 0."

@@ -165,7 +165,8 @@ class PahoGateway:
         self._put_off_next_attempt()
 
     def _failed(self, client: Any, userdata: Any) -> None:
-        tls, broker = self._account.tls, f"the broker {self._account.host}:{self._account.port}"
+        tls = self._account.tls
+        broker = f"the broker {self._account.host}:{self._account.port}"
         error = sys.exc_info()[1]  # paho calls this while it handles what an attempt met
         if tls is not None and isinstance(error, ssl.SSLError):
             self._complain(f"no encrypted connection to {broker}: {sentence(error, tls)}")

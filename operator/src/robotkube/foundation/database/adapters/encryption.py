@@ -19,7 +19,8 @@ from robotkube.foundation.certificates.adapters.verification import ServerVerifi
 class _Context:
     """The part of an `ssl.SSLContext` that pymongo uses."""
 
-    check_hostname, verify_mode = True, ssl.CERT_REQUIRED
+    check_hostname = True
+    verify_mode = ssl.CERT_REQUIRED
 
     def __init__(self, verification: ServerVerification) -> None:
         self._verification = verification

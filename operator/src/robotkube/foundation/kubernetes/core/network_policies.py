@@ -236,7 +236,9 @@ def _block(stated: Any, where: str) -> Block:
 
 def _port(stated: Any, where: str) -> Port:
     port = _known(stated, where, "protocol", "port", "endPort")
-    protocol, first, last = port.get("protocol") or "TCP", port.get("port"), port.get("endPort")
+    protocol = port.get("protocol") or "TCP"
+    first = port.get("port")
+    last = port.get("endPort")
     if protocol not in PROTOCOLS:
         raise InputError(f"{where}.protocol: {protocol!r} must be one of {', '.join(PROTOCOLS)}")
     if isinstance(first, int) and not 0 < first <= PORT_MAX:
@@ -254,7 +256,8 @@ def read_selector(stated: Any, where: str) -> Selector:
     for number, one in enumerate(selector.get("matchExpressions") or ()):
         at = f"{where}.matchExpressions[{number}]"
         expression = _known(one, at, "key", "operator", "values")
-        operator, values = expression.get("operator"), frozenset(expression.get("values") or ())
+        operator = expression.get("operator")
+        values = frozenset(expression.get("values") or ())
         if operator not in ("In", "NotIn", "Exists", "DoesNotExist"):
             raise InputError(f"{at}.operator: {operator!r} must be In, NotIn, Exists or DoesNotExist")
         if bool(values) != (operator in ("In", "NotIn")):

@@ -72,7 +72,8 @@ class HttpPages:
     def _bounded(self, answer: httpx.Response, url: str) -> bytes:
         """The whole answer: who sends a little at a time keeps nobody waiting, who sends without end fills nothing."""
         end = self._monotonic() + PAGE_SECONDS_MAX
-        parts, size = [], 0
+        parts = []
+        size = 0
         for part in answer.iter_bytes():
             size += len(part)
             if size > self._bytes_max:

@@ -89,7 +89,8 @@ class _Pieces(io.RawIOBase):
         parts = []
         while count > 0:
             if self._at == len(self._piece):
-                self._piece, self._at = next(self._pieces, b""), 0
+                self._piece = next(self._pieces, b"")
+                self._at = 0
                 if not self._piece:
                     break
             part = self._piece[self._at : self._at + count]
@@ -101,7 +102,9 @@ class _Pieces(io.RawIOBase):
 
 def _add(out: tarfile.TarFile, name: str, blob: Blob, digest: str = "") -> None:
     info = tarfile.TarInfo(name)
-    info.size, info.mtime, info.mode = size(blob), EPOCH_SECONDS, 0o644
+    info.size = size(blob)
+    info.mtime = EPOCH_SECONDS
+    info.mode = 0o644
     pieces = _Pieces(blob)
     out.addfile(info, pieces)
     if digest and f"sha256:{pieces.hash.hexdigest()}" != digest:

@@ -79,7 +79,8 @@ def _libraries(folder: Path, metadata: Mapping[str, Any]) -> dict[str, Path]:
     nothing."""
     libraries = {}
     for dependency in metadata.get("dependencies") or ():
-        name, repository = dependency.get("name"), str(dependency.get("repository", ""))
+        name = dependency.get("name")
+        repository = str(dependency.get("repository", ""))
         if not repository.startswith(LOCAL):
             fix = "name a chart of this repository with file://../<folder>"
             raise DocumentError(

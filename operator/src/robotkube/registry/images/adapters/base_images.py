@@ -41,12 +41,14 @@ def fetch_base(registry: Blobs, reference: ImageReference, platform: str, archiv
     its name is `local_tag`."""
     where = str(reference)
     data = registry.manifest(reference.repository, reference.digest)
-    digest, document = reference.digest, read_image_manifest(data, where)
+    digest = reference.digest
+    document = read_image_manifest(data, where)
     if "manifests" in document:
         named = manifest_of(document, platform)
         if named is None:
             raise InputError(f"{where}: is not built for {platform}; give another base with --base")
-        digest, data = named, registry.manifest(reference.repository, named)
+        digest = named
+        data = registry.manifest(reference.repository, named)
         document = read_image_manifest(data, where)
     with tempfile.TemporaryDirectory(dir=archive.parent, prefix="base-") as folder:
         blobs = Path(folder)

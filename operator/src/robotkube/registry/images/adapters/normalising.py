@@ -136,8 +136,12 @@ def _entries(
 
 def _entry(member: tarfile.TarInfo, name: str) -> tarfile.TarInfo:
     entry = tarfile.TarInfo(name)
-    entry.type, entry.mode, entry.size = member.type, member.mode & 0o7777, member.size if member.isreg() else 0
-    entry.uid, entry.gid, entry.mtime = member.uid, member.gid, EPOCH_SECONDS
+    entry.type = member.type
+    entry.mode = member.mode & 0o7777
+    entry.size = member.size if member.isreg() else 0
+    entry.uid = member.uid
+    entry.gid = member.gid
+    entry.mtime = EPOCH_SECONDS
     entry.linkname = member.linkname if member.issym() else ""
     entry.devmajor, entry.devminor = member.devmajor, member.devminor
     entry.pax_headers = {k: v for k, v in member.pax_headers.items() if k in KEPT_ATTRIBUTES}
@@ -149,7 +153,10 @@ def _entry(member: tarfile.TarInfo, name: str) -> tarfile.TarInfo:
 def _link(holder: tarfile.TarInfo, name: str, target: str) -> tarfile.TarInfo:
     """A further name of a file; mode and owner are repeated because some programs set them once more for every name."""
     entry = _entry(holder, name)
-    entry.type, entry.linkname, entry.size, entry.pax_headers = tarfile.LNKTYPE, target, 0, {}
+    entry.type = tarfile.LNKTYPE
+    entry.linkname = target
+    entry.size = 0
+    entry.pax_headers = {}
     return entry
 
 
@@ -273,7 +280,9 @@ def write_archive(
             _add(out, path, data)
         for blob in sorted(blobs.iterdir()):
             info = tarfile.TarInfo(f"blobs/sha256/{blob.name}")
-            info.size, info.mtime, info.mode = blob.stat().st_size, EPOCH_SECONDS, 0o644
+            info.size = blob.stat().st_size
+            info.mtime = EPOCH_SECONDS
+            info.mode = 0o644
             with blob.open("rb") as content:
                 out.addfile(info, content)
     with archive.open("rb") as file:
@@ -282,5 +291,7 @@ def write_archive(
 
 def _add(out: tarfile.TarFile, name: str, data: bytes) -> None:
     info = tarfile.TarInfo(name)
-    info.size, info.mtime, info.mode = len(data), EPOCH_SECONDS, 0o644
+    info.size = len(data)
+    info.mtime = EPOCH_SECONDS
+    info.mode = 0o644
     out.addfile(info, BytesIO(data))

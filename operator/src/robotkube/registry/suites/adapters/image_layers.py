@@ -32,7 +32,8 @@ WINDOW_BYTES_MAX = 128 << 20  # of zstd: more is only written by --ultra --long
 BLOCK_BYTES = 1 << 20
 PATH_CHARACTERS_MAX = 4096
 ELF = b"\x7fELF"
-GZIP, ZSTD = b"\x1f\x8b", (b"\x28\xb5\x2f\xfd", b"\x2a\x4d\x18")  # the second, after one byte, is a skippable frame
+GZIP = b"\x1f\x8b"
+ZSTD = (b"\x28\xb5\x2f\xfd", b"\x2a\x4d\x18")  # the second, after one byte, is a skippable frame
 
 
 @dataclass(frozen=True)

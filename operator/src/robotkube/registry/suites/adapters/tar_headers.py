@@ -18,7 +18,9 @@ OCTAL = re.compile(rb" *[0-7]*[ \0]*")
 KINDS = b"01234567\0"  # what stands for itself
 LONG, PAX = b"LK", b"x"
 EXTENDING = LONG + PAX  # what belongs to the next one
-POSIX, GNU, OLD = b"ustar\x0000", b"ustar  \0", bytes(8)
+POSIX = b"ustar\x0000"
+GNU = b"ustar  \0"
+OLD = bytes(8)
 STAR = b"tar\0"  # its archives have times in the place of the prefix
 NUMBERS = {
     "mode": slice(100, 108),

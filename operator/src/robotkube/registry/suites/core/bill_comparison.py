@@ -55,7 +55,9 @@ def listed_contents(bill: Mapping[str, Any]) -> ListedContents:
         waiting += items(component.get("components"))
         match = PACKAGE_URL.fullmatch(str(component.get("purl") or ""))
         if match:
-            kind, name, version = match[1], _unescaped(match[2]), _unescaped(match[3])
+            kind = match[1]
+            name = _unescaped(match[2])
+            version = _unescaped(match[3])
             is_source = kind == "deb" and "arch=source" in (match[4] or "").split("&")
             packages["source" if is_source else kind].add((python_name(name) if kind == "pypi" else name, version))
         elif component.get("type") == "file":

@@ -138,7 +138,8 @@ def points_within(label: Label, cloud: Cloud, margin: float = MARGIN_M) -> list[
     """Numbers of the cloud's points that lie in the box, widened by `margin` for the sensor's noise."""
     cx, cy, cz = label.position
     length, width, height = (size / 2 + margin for size in label.size)
-    cosine, sine = math.cos(label.heading), math.sin(label.heading)
+    cosine = math.cos(label.heading)
+    sine = math.sin(label.heading)
     reach = math.hypot(length, width)
     within = []
     for index, (x, y) in enumerate(zip(cloud.x, cloud.y, strict=True)):
@@ -154,7 +155,8 @@ def corners(label: Label) -> list[tuple[float, float]]:
     """The box from above, front left first, against the clock."""
     x, y, _ = label.position
     length, width = label.size[0] / 2, label.size[1] / 2
-    cosine, sine = math.cos(label.heading), math.sin(label.heading)
+    cosine = math.cos(label.heading)
+    sine = math.sin(label.heading)
     return [
         (x + cosine * a - sine * b, y + sine * a + cosine * b)
         for a, b in ((length, width), (-length, width), (-length, -width), (length, -width))

@@ -46,7 +46,8 @@ def read_broker_account(folder: Path) -> BrokerAccount:
     if not port.isdecimal():
         raise InputError(f"{folder / 'port'}: {port!r} is no port number")
     host, username, password = (read_secret(folder, key) for key in ("host", "username", "password"))
-    tls, certificate = read_verification(folder, host), read_own_certificate(folder)
+    tls = read_verification(folder, host)
+    certificate = read_own_certificate(folder)
     if certificate is not None and tls is None:
         raise InputError(f"{folder / 'tls'}: must be required, since {folder / 'identity'} is certificate")
     return BrokerAccount(host, int(port), username, password, tls, certificate)

@@ -221,7 +221,8 @@ def _fitted(cluster: Sequence[Point], criteria: ObjectCriteria) -> DetectedObjec
     lengthwise = first_is_longer == (longer > criteria.width_m + FACE_TOLERANCE_M)
     sizes = (criteria.length_m, criteria.width_m) if lengthwise else (criteria.width_m, criteria.length_m)
     along, across = (_centre(rectangle.low[axis], rectangle.high[axis], sizes[axis]) for axis in (0, 1))
-    cosine, sine = math.cos(rectangle.yaw), math.sin(rectangle.yaw)
+    cosine = math.cos(rectangle.yaw)
+    sine = math.sin(rectangle.yaw)
     heading = rectangle.yaw if lengthwise else rectangle.yaw + math.pi / 2
     z = (min(point[2] for point in cluster) + max(point[2] for point in cluster)) / 2
     x, y = cosine * along - sine * across, sine * along + cosine * across
@@ -236,7 +237,8 @@ def _smallest_rectangle(cluster: Sequence[Point]) -> _Rectangle:
 
 
 def _bounds(points: Sequence[Point], yaw: float) -> _Rectangle:
-    cosine, sine = math.cos(yaw), math.sin(yaw)
+    cosine = math.cos(yaw)
+    sine = math.sin(yaw)
     along = [cosine * x + sine * y for x, y, _ in points]
     across = [cosine * y - sine * x for x, y, _ in points]
     return _Rectangle(yaw, (min(along), min(across)), (max(along), max(across)))

@@ -80,7 +80,8 @@ class DeliveryJournal:
     def add(self, reaction: str, name: str, delivery: EdgeDelivery) -> None:
         """Add a delivery; never blocks."""
         entry = JournalEntry(reaction, name, self._clock_ns(), delivery)
-        key, size = _key(entry), _size(entry)
+        key = _key(entry)
+        size = _size(entry)
         with self._lock:
             if key in self._entries:
                 return

@@ -308,7 +308,8 @@ class Recordings:
 def _within(gap: Gap, spans: Sequence[Interval]) -> Iterator[Gap]:
     """The parts of a gap that lie in these intervals; of a gap that was cut nobody knows how many messages it had."""
     for first, last in spans:
-        begin, end = max(first, gap.first), min(last, gap.last)
+        begin = max(first, gap.first)
+        end = min(last, gap.last)
         if begin <= end:
             whole = (begin, end) == (gap.first, gap.last)
             yield gap if whole else Gap(gap.topic, gap.where, gap.why, None, begin, end)

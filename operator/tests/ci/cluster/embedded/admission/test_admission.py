@@ -146,7 +146,8 @@ def forge(tmp_path: Path) -> Forge:
 
 def test_policies_follow_what_is_published_on_this_machine(folders: ClusterFolders, forge: Forge) -> None:
     """From a platform that is not installed to a version that was built again, with the user's own key."""
-    key, app = evidence.signing_key(), artefact()
+    key = evidence.signing_key()
+    app = artefact()
     on_disk = CatalogueOnDisk(lambda: forge.repositories, admission_files.folder(folders) / "clones")
     listing = CatalogueListing(on_disk, TrustedKeys(admission_files.folder(folders) / "keys"))
     following = admission_files.following(folders, listing)
@@ -169,7 +170,8 @@ def test_policies_follow_what_is_published_on_this_machine(folders: ClusterFolde
 
 
 def test_a_forge_with_another_volume_is_followed_there(forge: Forge, tmp_path: Path) -> None:
-    other, places = Forge(tmp_path / "other"), [forge.repositories]
+    other = Forge(tmp_path / "other")
+    places = [forge.repositories]
     for one, name in ((forge, "first"), (other, "second")):
         one.install()
         one.publish({"charts/a.txt": name})

@@ -118,7 +118,8 @@ def test_the_process_that_follows_is_started_again_when_it_ends(
 ) -> None:
     """Killed, say: nothing that is published would run until the cluster is made anew."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    folders, log = ClusterFolders("demo"), tmp_path / "log"
+    folders = ClusterFolders("demo")
+    log = tmp_path / "log"
     command = [*followers.STARTED_AGAIN, *followers.command(admission_files.MODULE, folders)]
     environment = {"PATH": os.environ["PATH"], **followers.environment()}
     with log.open("w") as said:  # without what admission prepares it ends by itself, and says why

@@ -103,7 +103,8 @@ def install_definition(api: Api) -> None:
 
 def test_a_stranger_is_written_as_soon_as_the_platform_is_there(api: Api, own: ApiServer) -> None:
     reporter = Reporter(KubernetesInspections(own, NAMESPACE, PROCESS, time.time), time.time_ns)
-    node, now = OneNode(), 0.0
+    node = OneNode()
+    now = 0.0
     looking = Looking(node, lambda: now)
 
     def reported() -> str:

@@ -158,7 +158,8 @@ def test_a_node_that_joins_gets_rules_and_one_that_went_and_came_gets_them_anew(
 
 
 def test_while_the_api_server_is_away_rules_stay_and_new_pods_are_cut_off(cluster: Cluster) -> None:
-    before, new = dict(cluster.rules), PodLink("vethnew", "10.244.0.3", "shop", "new", "uid-new")
+    before = dict(cluster.rules)
+    new = PodLink("vethnew", "10.244.0.3", "shop", "new", "uid-new")
     cluster.failing["api"] = "away"
     cluster.given["one"] |= {new}
     with pytest.raises(SetUpError, match="away"):
@@ -252,7 +253,8 @@ def test_what_keeps_it_from_following_is_reported_and_logged_once(caplog: pytest
 @pytest.mark.parametrize("passed", [REPORT_SECONDS, -1.0])
 def test_everything_is_read_again_now_and_then(passed: float) -> None:
     """Whatever a watch has missed; also when the machine's clock was set back."""
-    cluster, now = Cluster(), [0.0]
+    cluster = Cluster()
+    now = [0.0]
 
     def waits() -> Iterator[bool]:
         yield False

@@ -147,7 +147,8 @@ def enforced(server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     """Two nodes with three pods, closed before the first one, and followed."""
     programs.folder()  # before the cache is another
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    folders, nodes = ClusterFolders("demo"), RealNodes(PODS)
+    folders = ClusterFolders("demo")
+    nodes = RealNodes(PODS)
     stage = Enforced(server, nodes, folders)
     try:
         nodes.start()

@@ -42,7 +42,9 @@ def test_every_pair_at_every_port_as_the_policies_say(policies: list[NetworkPoli
 
 @given(POLICIES)
 def test_a_group_is_heard_by_whom_both_sides_allow(policies: list[NetworkPolicy]) -> None:
-    made, out, into = network(policies), _only(policies, "egress"), _only(policies, "ingress")
+    made = network(policies)
+    out = _only(policies, "egress")
+    into = _only(policies, "ingress")
     for source, target in product(PODS, repeat=2):
         if source == target or source.node != target.node:
             continue

@@ -25,7 +25,8 @@ from tests.stages.waiting import until
 pytestmark = pytest.mark.processes
 
 SERVICE = "10.96.0.10"
-GROUP, DDS = "239.255.0.1", 7400
+GROUP = "239.255.0.1"
+DDS = 7400
 AT = (("TCP", 8080), ("TCP", 9000), ("UDP", 8080))
 HTTP = ("TCP", 8080)
 

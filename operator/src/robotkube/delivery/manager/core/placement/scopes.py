@@ -148,7 +148,8 @@ def split_agents(scope: Scope, agents: Iterable[str]) -> list[str]:
     out. What an operator on such an agent asked for would be answered by a manager that may not touch it."""
     sentences = []
     for name in agents:
-        agent, namespace = scope.covers_agent(name), scope.covers_namespace(name)
+        agent = scope.covers_agent(name)
+        namespace = scope.covers_namespace(name)
         if agent != namespace:
             there, missing = ("agents", "namespaces") if agent else ("namespaces", "agents")
             sentences.append(

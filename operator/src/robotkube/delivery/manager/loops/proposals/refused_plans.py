@@ -78,5 +78,6 @@ class ForgeRefusals:
             return False
         for holder in self._holders:
             holder.forget(self._plans)
-        self._plans, self._until = set(), float("inf")
+        self._plans = set()
+        self._until = float("inf")
         return True

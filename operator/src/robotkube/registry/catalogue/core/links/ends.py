@@ -125,7 +125,8 @@ def _differences(topic: Mapping[str, Any], opening: Opening, interface: Expected
             f"arrive; write {interface.type}, or correct the chart",
         )
     for key, (more, less) in _MORE.items():
-        offers, requests = str(topic[key]), getattr(interface, key)
+        offers = str(topic[key])
+        requests = getattr(interface, key)
         if interface.direction == OUT:
             offers, requests = requests, offers
         if offers == less and requests == more:
