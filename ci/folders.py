@@ -1,4 +1,4 @@
-"""Where what was built is kept: below the user's cache folder, never in the repository."""
+"""Folders of what was built: below the user's cache folder, never in the repository."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ def patches(before: Object, now: Object) -> dict[str, Object]:
 
 
 def _patch(before: Object, now: Object) -> dict[str, Any]:
-    """By key: what was there, and None for what was not."""
+    """A patch that brings back, by key, what was there, and None for what was not."""
     changed: dict[str, Any] = {key: None for key in now if key not in before}
     for key, value in before.items():
         other = now.get(key)

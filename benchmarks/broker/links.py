@@ -99,7 +99,7 @@ class LinkPath(DataPath):
 
     @property
     def result(self) -> Path:
-        """Where the ages are once all of them have come."""
+        """The file with the ages, once all of them have come."""
         return self.folder / "heard.json"
 
     def _run(self, agent: str, role: str, *arguments: str) -> None:

@@ -81,7 +81,7 @@ def measured(size: Size, seconds: int = SECONDS, *way: str) -> dict[str, Any]:
 
 
 def figures(found: dict[str, Any]) -> dict[str, Any]:
-    """As they are recorded."""
+    """The measurements as they are recorded."""
     return {
         "event_to_pixel_ms": asdict(quantiles(found["event_ms"])),
         "frames": round(found["frames"], 1),

@@ -69,7 +69,7 @@ class Switch:
     port: int
 
     def configure(self, state: str) -> None:
-        """By its ConfigMap."""
+        """Change the detector's settings by its ConfigMap."""
         self.api.put_config_map(NAMESPACE, NAME, {"config.yaml": json.dumps(settings(state))})
 
     def go(self, way: str, state: str) -> None:

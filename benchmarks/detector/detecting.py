@@ -122,7 +122,7 @@ class DetectorTestbed:
         return sum(topic["received"] for topic in json.loads(done.stdout)["topics"].values())
 
     def result_path(self, role: str) -> Path:
-        """Where a role writes its result."""
+        """The file to which a role writes its result."""
         return self.folder / f"{role}.json"
 
     def wait(self, role: str, seconds: float) -> Any:

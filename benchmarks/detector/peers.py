@@ -59,7 +59,7 @@ def cloud_topic(number: int) -> str:
 
 
 def place(agent: int, number: int, swing: int) -> float:
-    """Where an agent is: far from everybody, or every second time on the neighbour's place."""
+    """The place of an agent: far from everybody, or every second time on the neighbour's place."""
     away = bool(swing) and agent % 2 == 1 and number // swing % 2 == 1
     return 10_000.0 * (agent - 1 if away else agent)
 

@@ -24,7 +24,7 @@ class WholePath(NamedTuple):
 
 
 class WholeDataPath(DataPath):
-    """With a detector beside what counts."""
+    """The data path with a detector beside what counts."""
 
     detector = "robotkube.robots.detector"
 

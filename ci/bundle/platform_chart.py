@@ -79,7 +79,7 @@ def _block(lines: list[str], block: str, keys: Mapping[str, Any]) -> list[str]:
 
 
 def _after(inner: list[str], at: int) -> int:
-    """Where the value of the key in that line ends."""
+    """The number of the line behind the value of the key in line `at`."""
     return next((n for n in range(at + 1, len(inner)) if re.match(r"  [^ -]", inner[n])), len(inner))
 
 

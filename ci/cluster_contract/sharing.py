@@ -38,8 +38,8 @@ def labels(members: Sequence[AgentOfNode]) -> dict[str, str]:
 
 
 def platform_values(nodes: Mapping[str, Mapping[str, str]]) -> dict[str, Any]:
-    """Where the platform's pods run, as its chart is told, when the platform is a guest by the labels of Nodes (by
-    name); nothing when it is none. InputError where it would have to be chosen by two labels."""
+    """Values of the platform's chart that say where its pods run, when the platform is a guest by the labels of Nodes
+    (by name); nothing when it is none. InputError where it would have to be chosen by two labels."""
     of_platform = [(name, one) for name, has in nodes.items() for one in node_agents(has) if one.role == PLATFORM]
     if not any(one.guest for _, one in of_platform):
         return {}

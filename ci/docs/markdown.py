@@ -318,7 +318,7 @@ def _link(text: str, block: Token, part: Token, places: Sequence[int]) -> Link:
 
 
 def _places(content: str, rows: Sequence[str], starts: Sequence[int], cell_end: int | None) -> list[int]:
-    """Where each character of the text of a block stands in the page, -1 where that is not known. The marks of quotes
+    """The place in the page of each character of the text of a block, -1 where that is not known. The marks of quotes
     and lists before it are not part of the text; of a table's row it is one cell, in which pipes are escaped."""
     places: list[int] = []
     for row, start, part in zip(rows, starts, content.split("\n"), strict=False):

@@ -60,7 +60,7 @@ def cache_folder() -> Path:
 
 
 def sources(toolchain_bin: Path) -> Sources:
-    """Where this machine has what images are made of."""
+    """The places where this machine has what images are made of."""
     return Sources(toolchain_bin, go_module, console.build, web.built())
 
 

@@ -18,7 +18,7 @@ MODULE_SECONDS_MAX = 300
 
 @dataclass(frozen=True)
 class Sources:
-    """Where programs, Go modules' files and pages come from; `module` maps (module path, folder of the go.mod naming
+    """The sources of programs, Go modules' files and pages; `module` maps (module path, folder of the go.mod naming
     it) to its folder, `page` builds the console's page when it is not there and gives its folder; `forge_pages`: what
     the forge's pages load, None where nobody has built that (`make web`)."""
 

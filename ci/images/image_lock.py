@@ -30,7 +30,7 @@ class Image:
 
 
 def lock_file() -> Path:
-    """Where the image builds write their lock."""
+    """The file to which the image builds write their lock."""
     return user_cache() / "images" / "images.json"
 
 

@@ -30,7 +30,7 @@ CONTROLLERS_V2 = ("cpuset", "cpu", "io", "memory", "pids")
 
 
 def unified() -> bool:
-    """True on version 2, False on version 1 and hybrid."""
+    """Return whether control groups are of version 2; False on version 1 and hybrid."""
     return (ROOT / "cgroup.controllers").exists()
 
 

@@ -35,7 +35,7 @@ INPUTS = ("go.mod", "go.sum", "**/*.go", "gitea/go.mod", "gitea/go.sum", "progra
 
 @dataclass(frozen=True)
 class Toolchain:
-    """Where the programs are."""
+    """The programs of the tool chain that were built from what `key` stands for."""
 
     key: str
 

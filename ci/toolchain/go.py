@@ -111,7 +111,7 @@ def module_version(folder: Path, module: str) -> str:
 
 
 def module_folder(folder: Path, module: str) -> Path:
-    """Where the sources of `module` are; downloads them if the module cache lacks them."""
+    """The folder of the sources of `module`; downloads them if the module cache lacks them."""
     document = json.loads(run(["mod", "download", "-json", module], folder))
     return Path(document["Dir"])
 

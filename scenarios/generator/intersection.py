@@ -59,7 +59,7 @@ def obstacles(parameters: Parameters) -> tuple[Obstacle, ...]:
 
 
 def motion(parameters: Parameters, index: int, times: Floats) -> Motion:
-    """Where player number `index` is at `times`: the first two vehicles, or a road-side unit behind all vehicles."""
+    """Motion of player number `index` at `times`: the first two vehicles, or a road-side unit behind all vehicles."""
     if index == 0:
         begin = -(parameters.start_distance_m + LEAD_IN_SECONDS * parameters.speed_mps)
         return drive(_phases(parameters, begin), begin, times)

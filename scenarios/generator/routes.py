@@ -1,4 +1,4 @@
-"""Where every player is at every moment. Which drives are made is the parameter `routes`:
+"""Routes: where every player is at every moment. Which drives are made is the parameter `routes`:
 
 `pair`: two vehicles meet and part as often as asked. They drive on the two lanes of one straight road, pass, slow down,
 turn around and come back. Vehicle 01 is vehicle 00 turned by half a turn about the origin, so their distance is twice
@@ -48,7 +48,7 @@ def duration_seconds(parameters: Parameters) -> int:
 
 
 def motion(parameters: Parameters, index: int, times: Floats) -> Motion:
-    """Where player number `index` is at `times`: vehicles, then road-side units."""
+    """Positions of player number `index` at `times`: vehicles, then road-side units."""
     if parameters.routes == THREE_VEHICLES and index < three_vehicles.VEHICLES:
         return three_vehicles.motion(parameters, index, times)
     if parameters.routes == INTERSECTION and not intersection.PARTAKING <= index < parameters.vehicles:

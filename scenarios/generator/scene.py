@@ -29,7 +29,7 @@ Floats32 = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Mount:
-    """Where a lidar sits on its vehicle: offset in m and yaw in rad, in the vehicle's frame."""
+    """The mount of a lidar on its vehicle: offset in m and yaw in rad, in the vehicle's frame."""
 
     x: float
     y: float

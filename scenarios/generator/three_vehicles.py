@@ -51,7 +51,7 @@ def visit_seconds(parameters: Parameters) -> float:
 
 
 def motion(parameters: Parameters, index: int, times: Floats) -> Motion:
-    """Where vehicle number 0, 1 or 2 is at `times`."""
+    """Positions of vehicle number 0, 1 or 2 at `times`."""
     lead_in = LEAD_IN_SECONDS * parameters.speed_mps
     if index == 0:
         return drive(_first(parameters), -(parameters.start_distance_m + lead_in), times)

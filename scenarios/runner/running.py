@@ -203,7 +203,7 @@ def _fetched(deployment: Deployment) -> Mapping[str, Any]:
 
 
 def _forge_of_a_person(access: Access, provider: Provider) -> tuple[Endpoint, str]:
-    """Where a person finds the forge after the run, and the command that has to run meanwhile."""
+    """The address at which a person finds the forge after the run, and the command that has to run meanwhile."""
     service, encrypted = access.service("forge")
     way = provider.way_of_a_person(service)
     return Endpoint(way.host, way.port, encrypted), way.command

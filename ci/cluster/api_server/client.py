@@ -41,7 +41,7 @@ class Api:
         self._close()
 
     def ready(self) -> bool:
-        """True when /readyz says ok."""
+        """Return whether /readyz says ok."""
         try:
             return self._request("GET", "/readyz")[0] == http.client.OK
         except UnreachableError:

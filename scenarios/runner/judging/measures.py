@@ -116,7 +116,7 @@ def latencies(encounter: Encounter) -> dict[str, float | None]:
 
 
 def breakdown(encounter: Encounter) -> dict[str, float | None]:
-    """Where the time from the event to the first stored cloud went, in s; the parts add up to it.
+    """The parts of the time from the event to the first stored cloud, in s; the parts add up to it.
 
     The pods meant are those of the releases that the plan created (the recorder).
     """

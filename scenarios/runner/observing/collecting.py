@@ -159,7 +159,7 @@ def _count(values: Mapping[str, Any]) -> TopicCount:
 
 
 def ledger_file(run: str, topic: str) -> str:
-    """Where a player writes the ledger of a topic, in the volume claim of its agent."""
+    """The path of the ledger that a player writes of a topic, in the volume claim of its agent."""
     return f"{LEDGER}/{run}/{topic.replace('/', '__')}.jsonl"
 
 

@@ -78,7 +78,7 @@ def _samples(buckets: Iterable[Document]) -> Iterator[Stored]:
 
 
 def _position(topic: str, data: bytes) -> tuple[float, float] | None:
-    """Where a pose is; None of another message, or one that cannot be read."""
+    """The position of a pose; None of another message, or one that cannot be read."""
     if not topic.endswith(POSE_ENDING):
         return None
     try:

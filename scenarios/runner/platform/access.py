@@ -83,7 +83,7 @@ class Access:
         return dict(configmap.data or {})
 
     def endpoint(self, name: str, namespace: str = PLATFORM) -> Endpoint:
-        """Where the first port of a Service answers."""
+        """The endpoint at which the first port of a Service answers."""
         service, encrypted = self.service(name, namespace)
         return Endpoint(*self._reach(service), encrypted)
 

@@ -28,7 +28,7 @@ def command(module: str, folders: ClusterFolders) -> list[str]:
 
 
 def environment() -> dict[str, str]:
-    """Where a module finds this project and the user's cache."""
+    """The environment in which a module finds this project and the user's cache."""
     path = os.pathsep.join(str(PROJECT / part) for part in ("operator/src", "."))
     kept = ("HOME", "XDG_CACHE_HOME", "PYTHONPYCACHEPREFIX")
     cache = {name: os.environ[name] for name in kept if name in os.environ}

@@ -45,7 +45,7 @@ class Process:
     log: str
 
     def alive(self) -> bool:
-        """True while this very process runs (not ended, not a zombie, not another one with its pid)."""
+        """Return whether this very process runs (not ended, not a zombie, not another one with its pid)."""
         return start_ticks(self.pid) == self.start_ticks
 
     def last_lines(self, count: int = LOG_LINES) -> str:

@@ -260,7 +260,7 @@ def _within(address: str, networks: Networks) -> bool:
 
 
 def _names(policies: Sequence[NetworkPolicy]) -> str:
-    """For who reads the rules: the policies that select a pod."""
+    """The names of the policies that select a pod, for who reads the rules."""
     return f"{policies[0].namespace}: {', '.join(sorted(one.name for one in policies))}"[:COMMENT_CHARACTERS_MAX]
 
 

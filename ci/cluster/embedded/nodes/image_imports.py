@@ -147,7 +147,7 @@ def _ctr(socket: Path, binaries: Path, *words: str) -> str:
 
 
 def serving(socket: Path, binaries: Path) -> bool:
-    """True when containerd answers on `socket`."""
+    """Return whether containerd answers on `socket`."""
     if not socket.exists():
         return False
     command = [str(binaries / "ctr"), "--address", str(socket), "version"]

@@ -88,7 +88,7 @@ def _write_page(path: Path, document: Mapping[str, Any]) -> None:
 
 @contextmanager
 def _sources(options: argparse.Namespace, keys: TrustedKeys) -> Iterator[Sources]:
-    """Where to read: the folder of --offline, or copies of both repositories and the registry."""
+    """The sources of an audit: the folder of --offline, or copies of both repositories and the registry."""
     if options.offline:
         yield _saved(options.offline, keys, options.since)
         return

@@ -37,7 +37,7 @@ class GatePresence:
 
     @property
     def words(self) -> str:
-        """That the gate is away, and what that means, in a sentence; empty when it is there."""
+        """A sentence that the gate is away, and what that means; empty when it is there."""
         if not self.problem:
             return ""
         since = f" since {self.since}" if self.since else ""

@@ -100,7 +100,8 @@ def _problem(status: Object, now_ns: int) -> str:
 
 
 def _away(inspector: Object) -> Iterator[Object]:
-    """That who looks is not there, or not ready, so that what the Inspections say may be old, or somebody else's."""
+    """A sentence that who looks is not there, or not ready, so that what the Inspections say may be old, or somebody
+    else's."""
     if not inspector:
         yield {"place": INSPECTOR, "problem": "there is no such Deployment: who writes the Inspections?"}
     elif not int((inspector.get("status") or {}).get("availableReplicas") or 0):

@@ -159,7 +159,7 @@ class AskedTask(Protocol):
         ...
 
     def read(self) -> Mapping[str, Any] | None:
-        """It as it is now; None when it is gone."""
+        """The object as it is now; None when it is gone."""
         ...
 
     def withdraw(self) -> None:

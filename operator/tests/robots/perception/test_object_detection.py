@@ -100,7 +100,7 @@ def test_lines_of_their_roofs_are_no_vehicles(criteria: ObjectCriteria, farthest
 
 
 def both_found(pair: tuple[scene.Place, scene.Place], criteria: ObjectCriteria) -> bool:
-    """True when there are two vehicles, where these are."""
+    """Return whether there are two vehicles, where these are."""
     objects = find_objects(read_cloud(lidar_clouds.cloud(*pair, seed=7)), criteria)
     places = [(detected.pose.x, detected.pose.y) for detected in objects]
     distances = [min((math.dist(lidar_clouds.seen_at(one), place) for place in places), default=99.0) for one in pair]

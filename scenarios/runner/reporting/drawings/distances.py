@@ -57,7 +57,7 @@ def distances(document: Document) -> Iterator[Drawing]:
 
 
 def _lines(document: Document) -> Mapping[str, Line]:
-    """By pair; of the pairs that met, or of all when none did."""
+    """The lines of distances by pair; of the pairs that met, or of all when none did."""
     given = document["drawings"].get("trajectories") or {}
     tracks = {}
     for agent, track in (given.get("agents") or {}).items():

@@ -46,7 +46,7 @@ class Axes:
     y: Scale
 
     def place(self, x: float, y: float) -> Point:
-        """Where a value stands; beyond the scales: at their ends."""
+        """The place of a value; beyond the scales: at their ends."""
         return self.x.inside(x), self.y.inside(y)
 
     def drawn(self, x_title: str, y_title: str) -> Element:

@@ -197,7 +197,7 @@ def nearest(tracks: Sequence[Track]) -> tuple[float, float] | None:
 def _dots(
     axes: Axes, tracks: Mapping[str, Track], moments: Sequence[tuple[str, float]]
 ) -> list[list[tuple[int, Point]]]:
-    """By vehicle, where it was at each moment, with the moment's number."""
+    """The dots of each vehicle, one where it was at each moment, with the moment's number."""
     return [
         [(n, axes.place(*where)) for n, (_, seconds) in enumerate(moments, 1) if (where := at(track, seconds))]
         for track in tracks.values()

@@ -54,7 +54,7 @@ def _topic(scenario: Scenario, inputs: RunInputs, one: Encounter, agent: str, to
 
 
 def _with_window(stamps: Sequence[int], window: tuple[int, int] | None) -> list[int]:
-    """With those ends of the window that the messages do not reach."""
+    """The stamps, with those ends of the window that they do not reach."""
     if window is None or window[0] >= window[1]:
         return list(stamps)
     if not stamps:

@@ -1,4 +1,4 @@
-"""Where the vehicles that met were: the route that was played, and the poses that were stored, both thinned.
+"""Trajectories of the vehicles that met: the route that was played, and the poses that were stored, both thinned.
 
 A bag's poses are those of the scenario's routes at their stamps, so the routes say where a player was; the stored poses
 say what of it arrived.

@@ -49,7 +49,7 @@ def _encounter(inputs: RunInputs, one: Encounter) -> dict[str, Any]:
 
 
 def _edge(inputs: RunInputs, edge: Edge) -> dict[str, Any]:
-    """By the stamp of the pose that triggered it."""
+    """An event's edge, by the stamp of the pose that triggered it."""
     return {"seconds": _since(inputs, edge.stamp), "distance_m": edge.distance_m}
 
 

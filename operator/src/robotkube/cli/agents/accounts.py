@@ -159,7 +159,7 @@ def _whole_seconds(time: str) -> str:
 
 
 def _account(said: OfMain, agent: AgentAccount) -> Document:
-    """Where an agent is declared, and whether its account is open: with the commit that shut or enrolled it."""
+    """The place where an agent is declared, and the state of its account, with the commit that shut or enrolled it."""
     enrolled = None if agent.role else said.enrolled.get(agent.name)
     role, declared_by = (enrolled.role, MAIN) if enrolled else (agent.role, VALUES)
     revoked = said.revoked.get(agent.name)

@@ -87,7 +87,7 @@ EXAMPLES = {WHY: "why cloud-0/meeting", PLAN: "plan 4", RECORDING: "recording NA
 
 
 def console_address(platform: Platform) -> str:
-    """Where people reach the console: its own address where they sign in, this machine's end of a forward where it
+    """The console's address for people: its own address where they sign in, this machine's end of a forward where it
     answers nothing else, otherwise its Service; empty when there is none."""
     try:
         host, port = platform.address(CONSOLE)

@@ -154,7 +154,7 @@ def _platform() -> str:
 
 
 def _cache() -> Path:
-    """Where archives and the engine's storage stay between builds."""
+    """The folder in which archives and the engine's storage stay between builds."""
     base = os.environ.get("XDG_CACHE_HOME", "")
     folder = (Path(base) if base.startswith("/") else Path.home() / ".cache") / "robotkube" / "own-images"
     folder.mkdir(parents=True, exist_ok=True)

@@ -54,13 +54,13 @@ class ComponentLine:
 
     @property
     def words(self) -> str:
-        """It as a sentence."""
+        """The line as a sentence."""
         if self.state == NOT_READY:
             return f"{self.component} is not ready: {'; '.join(self.reasons)}"
         return f"{self.component}: {self.state} after {self.seconds:.1f} s"
 
     def document(self) -> dict[str, Any]:
-        """It for programs."""
+        """The line for programs."""
         seconds = round(self.seconds, 1)
         return {"component": self.component, "state": self.state, "seconds": seconds, "reasons": list(self.reasons)}
 

@@ -1,4 +1,5 @@
-"""Whether a Deployment, a StatefulSet or a Job is what it shall be, and why not, as their own statuses say it."""
+"""Rollouts: whether a Deployment, a StatefulSet or a Job is what it shall be, and why not, as their own statuses say
+it."""
 
 from __future__ import annotations
 

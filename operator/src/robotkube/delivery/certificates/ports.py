@@ -1,4 +1,4 @@
-"""Where the authority and servers' certificates stand, where others read whom to trust, and who makes certificates.
+"""Stores of the authority, of servers' certificates and of whom to trust, and who makes certificates.
 
 UnavailableError when the API server does not answer or the fault passes, InputError when it refuses.
 """

@@ -42,7 +42,7 @@ OPTIONAL_OF_SIGN_IN = (
 
 @dataclass(frozen=True)
 class PoseSource:
-    """Where poses come from: the broker, and the topic of an agent's."""
+    """The source of poses: the broker, and the topic of an agent's."""
 
     broker: BrokerAccount
     topic: str
@@ -75,12 +75,12 @@ class ConsoleConfiguration:
 
     @property
     def address(self) -> str:
-        """Where the page is served: with `by_forward` at the pod's own loopback address, which a forward of the API
+        """The address of the page: with `by_forward` at the pod's own loopback address, which a forward of the API
         server's reaches and no network."""
         return LOOPBACK if self.by_forward else self.listen.address
 
     def who_signs_in(self) -> str:
-        """Whether people sign in, and whether they can by now, in words."""
+        """A sentence that says whether people sign in, and whether they can by now."""
         file = self.client_id_file
         if self.by_forward:
             return "nobody: who may forward ports to its pod reads"

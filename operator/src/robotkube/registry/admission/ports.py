@@ -18,7 +18,7 @@ class CatalogueHistory(MainHistory, Protocol):
 
 
 class PolicyPlace(Protocol):
-    """Where the API server finds its policies."""
+    """The place where the API server finds its policies."""
 
     def write(self, documents: Sequence[Mapping[str, Any]]) -> bool:
         """Replace the policies, all at once where the place can; False when they stood there already."""

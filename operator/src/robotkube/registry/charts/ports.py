@@ -22,7 +22,7 @@ class Attachment:
 
 
 class PulledCharts(Protocol):
-    """Where charts are got by their digest."""
+    """A source of charts by their digest."""
 
     def pull_chart(self, repository: str, digest: str) -> PulledChart:
         """The chart of that digest, unpacked in memory within fixed bounds."""

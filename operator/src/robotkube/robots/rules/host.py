@@ -122,7 +122,7 @@ def _expression(job: Mapping[str, Any]) -> Answering:
 
 
 def _measured(value: Any) -> bool:
-    """True when none of the numbers is NaN."""
+    """Return whether none of the numbers is NaN."""
     if isinstance(value, (Mapping, list, tuple)):
         return all(map(_measured, value.values() if isinstance(value, Mapping) else value))
     return not (isinstance(value, float) and math.isnan(value))

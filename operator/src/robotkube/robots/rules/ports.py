@@ -20,7 +20,7 @@ class RuleProcess(Protocol):
 
     @property
     def ready(self) -> bool:
-        """True when the rule is loaded and waits for questions."""
+        """Return whether the rule is loaded and waits for questions."""
         ...
 
     @property

@@ -43,7 +43,7 @@ class KubernetesTask:
             raise InputError(f"there is a task {self.namespace}/{self.name} already; start the test again")
 
     def read(self) -> Mapping[str, Any] | None:
-        """It as it is now."""
+        """The task as it is now."""
         return self.api.get(self._path)
 
     def withdraw(self) -> None:

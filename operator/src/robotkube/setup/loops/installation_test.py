@@ -33,7 +33,7 @@ class TestClock:
 
 @dataclass(frozen=True)
 class TestedPlatform:
-    """Where to look when something hangs: the platform's namespace, Argo CD's, and who asks for what."""
+    """The places to look at when something hangs: the platform's namespace, Argo CD's, and who asks for what."""
 
     __test__ = False
 

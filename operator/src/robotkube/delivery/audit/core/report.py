@@ -39,7 +39,7 @@ class AuditScope:
     at: int
 
     def row(self) -> Row:
-        """By the names of the document."""
+        """The row by the names of the document."""
         return {
             "deployment": {"tip": self.deployment, "commits": self.deployment_commits},
             "catalogue": {"tip": self.catalogue, "commits": self.catalogue_commits},

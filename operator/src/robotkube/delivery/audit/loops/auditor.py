@@ -55,7 +55,7 @@ POLICIES = "policies"
 
 @dataclass(frozen=True)
 class Sources:
-    """Where an audit reads. `registry_name` says in words which registry `manifests` are of; both are left out when
+    """What an audit reads. `registry_name` says in words which registry `manifests` are of; both are left out when
     there is none to ask. `holds` checks people's signatures over commits of `repository`. `since`: commits that the
     caller knows to have been on one of both mains; `former`: tips that an earlier copy in the same place had."""
 

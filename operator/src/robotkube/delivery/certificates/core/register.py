@@ -37,7 +37,7 @@ class Register:
         return next((one for one in self.issued if one.serial == serial), None)
 
     def added(self, certificate: IssuedCertificate) -> Register:
-        """With one more."""
+        """A register with one certificate more."""
         return replace(self, issued=(*self.issued, certificate))
 
     def kept(self, now: float) -> Register:
@@ -45,8 +45,8 @@ class Register:
         return replace(self, issued=tuple(one for one in self.issued if one.end + KEPT_SECONDS > now))
 
     def revoking(self, shut: Container[str], accounts: Iterable[AccountCertificate], now: float) -> Register:
-        """With all revoked that is of an account which is shut, is there no more, or has another number by now. What is
-        revoked stays so."""
+        """A register with all revoked that is of an account which is shut, is there no more, or has another number by
+        now. What is revoked stays so."""
         numbers = {one.account: one.number for one in accounts}
         return replace(
             self,

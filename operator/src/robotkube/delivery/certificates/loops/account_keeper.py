@@ -62,7 +62,7 @@ class AccountKeeper:
         self.issued = self.revoked = 0
 
     def has_news(self) -> bool:
-        """Whether main shuts out others than at the last look, as far as somebody says it."""
+        """Return whether main shuts out others than at the last look, as far as somebody says it."""
         try:
             return bool(self._authority) and self._shut.shut(self._authority) != self._known
         except UnavailableError:
@@ -151,7 +151,7 @@ class AccountKeeper:
         return lives
 
     def _adopted(self, register: Register) -> Register:
-        """With what the authority signed and the register does not have, as after its loss."""
+        """A register with what the authority signed and the register does not have, as after its loss."""
         for account in self._issuance.certificates:
             life = self.lives.get(account.account)
             if life is not None and life.signed and register.entry(life.serial) is None:

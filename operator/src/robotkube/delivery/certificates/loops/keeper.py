@@ -148,7 +148,7 @@ class CertificateKeeper:
         return life
 
     def _described(self, secret: str, present: Pair, authority: Pair) -> Life | None:
-        """None for what cannot be read: it is replaced as if there were none."""
+        """The life of a certificate; None for one that cannot be read: it is replaced as if there were none."""
         try:
             return self._issuer.describe(present, authority)
         except InputError as error:

@@ -33,7 +33,7 @@ class SignIn:
 
     @property
     def redirect(self) -> str:
-        """Where the provider sends a browser back to."""
+        """The address to which the provider sends a browser back."""
         return f"{self.url}/auth/callback"
 
     @property

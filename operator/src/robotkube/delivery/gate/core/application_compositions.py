@@ -137,7 +137,7 @@ class ApplicationCompositions:
         return older
 
     def _older_versions(self, made: Sequence[tuple[Release, Parameters]]) -> Iterator[tuple[str, Mapping[Pin, str]]]:
-        """For every allowed version beside those that were selected: its chart, and what is withheld to select it."""
+        """Allowed versions beside those that were selected: of each its chart, and what is withheld to select it."""
         selected = {(release.chart, release.version) for release, _ in made}
         for chart in sorted({chart for chart, _ in selected}):
             versions = self.catalogue.charts[chart]

@@ -146,7 +146,8 @@ class _Trial:
         return list(rendered_problems(release, version, made, self._catalogue, self._policy))
 
     def _place(self, release: Release) -> str:
-        """Where in the application's document the release comes from: services that may get its chart, or links."""
+        """The place in the application's document that the release comes from: services that may get its chart, or
+        links."""
         reference = (release.chart, release.version)
         services = [
             f"spec.services[{index}]"

@@ -136,7 +136,8 @@ def _owner(metadata: Object) -> tuple[str, str]:
 
 
 def _end(metadata: Object) -> float | None:
-    """By when a pod that is being deleted is to have ended. None for one that may take longer than any of ours."""
+    """The moment by which a pod that is being deleted is to have ended. None for one that may take longer than any of
+    ours."""
     text = metadata.get("deletionTimestamp")
     if not text or int(metadata.get("deletionGracePeriodSeconds") or 0) > GRACE_SECONDS_MAX:
         return None

@@ -70,7 +70,7 @@ class ServerSpeech:
 
 
 def argocd(present: ArgoCd, settings: Mapping[str, Any]) -> CheckVerdict:
-    """It has its definitions, the parts that carry releases out are running, and managers reach its server."""
+    """Judge Argo CD: its definitions, the parts that carry releases out, and whether managers reach its server."""
     installed, reached = argocd_installed(present), _reached(present, settings)
     unseen = "; ".join(filter(None, (installed.unseen, reached.unseen)))
     said = ", ".join(filter(None, (installed.says, reached.says)))
@@ -78,7 +78,7 @@ def argocd(present: ArgoCd, settings: Mapping[str, Any]) -> CheckVerdict:
 
 
 def argocd_installed(present: ArgoCd) -> CheckVerdict:
-    """It has its definitions, and the parts that carry releases out are running."""
+    """Judge its definitions and the parts that carry releases out."""
     problems = [_undefined(name) for name in DEFINITIONS if name not in present.definitions]
     parts = {str(labels_of(one).get(COMPONENT, "")): one for one in present.workloads}
     for part in PARTS:
@@ -94,7 +94,7 @@ def argocd_installed(present: ArgoCd) -> CheckVerdict:
 
 
 def namespace_in(settings: Mapping[str, Any]) -> str:
-    """Where the values say that Argo CD is."""
+    """The namespace of Argo CD, as the values say."""
     return str(mapping(settings.get("argocd")).get("namespace") or "argocd")
 
 

@@ -55,7 +55,7 @@ class RenderedChart:
         return (item for item in self.objects if item.get("kind") in kinds)
 
     def namespace_of(self, item: Object) -> str:
-        """Where an object belongs; empty for the whole cluster."""
+        """The namespace that an object belongs to; empty for the whole cluster."""
         if item.get("kind") in OF_THE_CLUSTER:
             return ""
         return str(metadata_of(item).get("namespace") or self.namespace)

@@ -34,7 +34,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class NamedIn:
-    """Where a target is named: an Inspection, with its UID."""
+    """The place where a target is named: an Inspection, with its UID."""
 
     inspection: str
     uid: str

@@ -57,7 +57,8 @@ class Returns:
         return len(self._recent) >= self.per_minute
 
     def note(self, act: str, maker: Maker, now: float) -> None:
-        """It is taken away now. What belongs to one maker and goes in one turn counts once for its pauses."""
+        """Record that something is taken away now. What belongs to one maker and goes in one turn counts once for its
+        pauses."""
         self._recent.append(now)
         known = self._known.get((act, maker))
         if known is not None and known.last == now:

@@ -113,7 +113,7 @@ class MappingReader:
         self._reader.problems.append(f"{self._key(key)}: {text}")
 
     def has(self, key: str) -> bool:
-        """True when the key is there."""
+        """Return whether the key is there."""
         return key in self._values
 
     def refuse_unknown_keys(self) -> None:

@@ -27,8 +27,8 @@ KINDS = (
 
 
 def policy() -> Policy:
-    """For a cluster that is all ours: nothing of the platform has such objects, so nobody makes or changes one. Only
-    files of the API server can judge policies. What stands there may be deleted."""
+    """The policy of a cluster that is all ours: nothing of the platform has such objects, so nobody makes or changes
+    one. Only files of the API server can judge policies. What stands there may be deleted."""
     own = f"{RESOURCE} == '{SERVERS}' && !has(object.spec.service)"
     unconverted = f"{RESOURCE} == '{DEFINITIONS}' && object.spec.?conversion.?strategy.orValue('None') == 'None'"
     why = (

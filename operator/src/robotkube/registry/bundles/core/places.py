@@ -1,4 +1,4 @@
-"""Where a bundle goes: a registry and a path of it, as people write them."""
+"""Destinations of bundles: a registry and a path of it, as people write them."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ APPLICATION, ENTRY = "application.yaml", "chart-version.yaml"
 
 @dataclass(frozen=True)
 class _Folders:
-    """Where charts and the catalogue's sources are."""
+    """The folders of charts and of the catalogue's sources."""
 
     charts: Path
     registry: Path
@@ -48,11 +48,11 @@ class _Folders:
         return self.charts / chart, self.registry / "charts" / chart
 
     def link(self, chart: str) -> Path:
-        """Where a chart looks for the library chart."""
+        """The address at which a chart looks for the library chart."""
         return self.charts / chart / "charts" / LIBRARY
 
     def target(self, path: str, chart: str) -> Path:
-        """Where a file of the skeleton goes for a chart."""
+        """The path to which a file of the skeleton goes for a chart."""
         if path == ENTRY:
             return self.registry / "charts" / chart / f"{FIRST_VERSION}.yaml"
         inside = path.removeprefix("chart/")

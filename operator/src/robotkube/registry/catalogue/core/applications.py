@@ -57,8 +57,8 @@ class ChartRequirement:
 
 @dataclass(frozen=True)
 class PlacementRule:
-    """Where a service may run: on the named agent (a template), or on one agent, of the role when one is given, that
-    has all capabilities. `spread`: no two instances of it on one agent."""
+    """A rule of where a service may run: on the named agent (a template), or on one agent, of the role when one is
+    given, that has all capabilities. `spread`: no two instances of it on one agent."""
 
     agent: str = ""
     role: str = ""

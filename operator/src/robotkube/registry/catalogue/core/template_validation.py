@@ -342,7 +342,7 @@ def _one(text: str, path: str, names: Mapping[str, Any], tools: Tools, problems:
 
 
 def value_problems(folder: ChartFolder, values: Mapping[str, Any], path: str, tools: Tools) -> Iterator[Problem]:
-    """Where `values`, laid over those of the chart, break the chart's schema."""
+    """The places at which `values`, laid over those of the chart, break the chart's schema."""
     if folder.schema is None:
         return
     given = {**values, "placement": {"agent": AGENT}, "global": {"plan": "20261121-100000-000000"}}

@@ -58,7 +58,7 @@ def _mapping(value: Any) -> Mapping[str, Any]:
 
 
 def strictness_problems(schema: Mapping[str, Any]) -> list[str]:
-    """Where unknown keys would pass, where something outside the file is named, and what is no schema at all."""
+    """The places where unknown keys would pass or something outside the file is named, and what is no schema at all."""
     problems = []
     if schema.get("$schema") not in DIALECTS:
         problems.append(f"$schema: {schema.get('$schema')!r} is none of {', '.join(DIALECTS)}")

@@ -70,7 +70,7 @@ class ApplicationAssessment:
 
 
 def statement_path(application: str) -> str:
-    """Where the statement about an application stands in the catalogue repository."""
+    """The path of the statement about an application in the catalogue repository."""
     return f"{FOLDER}/applications/{application}.json"
 
 

@@ -84,7 +84,7 @@ class Artefact:
 
     @property
     def folder(self) -> str:
-        """Where its evidence stands in the catalogue repository."""
+        """The folder of its evidence in the catalogue repository."""
         return f"{FOLDER}/{self.chart}/{build_tag(self.version, self.digest)}"
 
 

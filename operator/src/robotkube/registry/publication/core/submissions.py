@@ -56,8 +56,8 @@ def publisher_place(staging: str, account: str) -> str:
 
 
 def pushed_place(staging: str, account: str) -> str:
-    """Where a publisher pushes images: `staging-publisher/images`; the gate copies those of a submission to
-    `own-images`, by digest, so that what nodes pull stays whatever the publisher deletes."""
+    """The place to which a publisher pushes images: `staging-publisher/images`; the gate copies those of a submission
+    to `own-images`, by digest, so that what nodes pull stays whatever the publisher deletes."""
     return f"{publisher_place(staging, account)}/images"
 
 
@@ -342,7 +342,7 @@ def _image_problems(chart: SubmittedChart, data: bytes) -> Iterable[str]:
 
 
 def schema_path(entry: str) -> str:
-    """Where the values schema of the chart version stands whose entry is at `entry`."""
+    """The path of the values schema of the chart version whose entry is at `entry`."""
     return f"{entry.removesuffix('.yaml')}.schema.json"
 
 

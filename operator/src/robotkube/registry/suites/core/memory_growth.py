@@ -43,7 +43,7 @@ class MemoryJudgement:
 
 
 def not_measured(reason: str) -> MemoryJudgement:
-    """Nothing is claimed."""
+    """A judgement that claims nothing."""
     return MemoryJudgement((), f"memory: not measured: {reason}")
 
 

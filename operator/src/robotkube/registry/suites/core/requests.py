@@ -71,7 +71,7 @@ class SuiteRequest:
 
 @dataclass(frozen=True)
 class SuiteProgress:
-    """Where a run stands: `status` is queued, running or finished; `result` is there when it is finished; `reason`
+    """The state of a run: `status` is queued, running or finished; `result` is there when it is finished; `reason`
     says what a queued one waits for."""
 
     status: str

@@ -46,7 +46,7 @@ class ImageBills:
         manifest: Mapping[str, Any],
         bills: Sequence[tuple[str, Attachment]],
     ) -> list[str]:
-        """None when one of the bills is in order; the image is only read when one describes it."""
+        """The problems of an image's bills, none when one is in order; the image is only read when one describes it."""
         name = str(ImageReference(reference.host, reference.repository, digest))
         problems = []
         try:

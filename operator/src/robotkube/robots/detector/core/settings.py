@@ -90,7 +90,7 @@ class TopicSettings:
 
     @property
     def latched(self) -> bool:
-        """True when the settings make the topic latched: its last messages stay for subscribers that come later."""
+        """Return whether the settings make the topic latched: its last messages stay for later subscribers."""
         return self.durability == TRANSIENT_LOCAL
 
     @property
@@ -152,7 +152,7 @@ class DetectorSettings:
         return tuple(reaction for reaction in self.reactions if not isinstance(reaction, known))
 
     def is_always(self, rule: str) -> bool:
-        """True when the rule of this name is of kind always."""
+        """Return whether the rule of this name is of kind always."""
         return any(isinstance(candidate.condition, Always) for candidate in self.rules if candidate.name == rule)
 
 

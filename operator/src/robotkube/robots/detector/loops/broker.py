@@ -396,7 +396,7 @@ class MqttReactions:
 
     @property
     def over(self) -> bool:
-        """True when it is stopped and has no delivery to queue."""
+        """Return whether it is stopped and has no delivery to queue."""
         return self._stopped and not self._new
 
     def deliver(self, delivery: EdgeDelivery) -> None:

@@ -278,7 +278,7 @@ class EventDetector:
             self.unseen.count(topic.name, unseen.STARTING, unevaluated)
 
     def _goes_on(self, topic: TopicSubscription, sample: Sample, outcome: str, batch: list[Message] | None) -> bool:
-        """True when a message that is not simply the next one goes on to recordings and rules."""
+        """Return whether a message that is not simply the next one goes on to recordings and rules."""
         if outcome is DUPLICATE:
             return False
         if outcome is JUMPED:

@@ -75,7 +75,7 @@ class RecordingReactions:
         return [recordings for recordings in self.at_work if recordings.plan.topic(topic) is not None]
 
     def only(self, rule: str) -> bool:
-        """True when a rule only makes everything be recorded: its edge is no event."""
+        """Return whether a rule only makes everything be recorded: its edge is no event."""
         return rule in self._silent
 
     def react(self, edge: Edge, now: int) -> None:

@@ -96,7 +96,7 @@ class BagTopics:
 
     @property
     def waiting(self) -> bool:
-        """True when subscriptions have messages that were not drained."""
+        """Return whether subscriptions have messages that were not drained."""
         return any(topic_input.waiting and not topic_input.closed for topic_input in self.inputs.values())
 
 

@@ -109,7 +109,7 @@ class TopicSubscriptions:
         return self._subscribe(self._expected())
 
     def is_configured(self, name: str, type_name: str) -> bool:
-        """True when the settings ask for a topic of this name and type."""
+        """Return whether the settings ask for a topic of this name and type."""
         return self._chosen(name, type_name) is not None
 
     def place(self, name: str, type_name: str) -> FillTarget | None:

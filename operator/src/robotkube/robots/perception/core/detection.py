@@ -152,7 +152,7 @@ def _fitted_or_split(cluster: Sequence[Point], criteria: ObjectCriteria, split_c
 
 
 def _falls_apart(cluster: Sequence[Point]) -> bool:
-    """True when the shortest way takes it apart; a wall's is whole, whatever is tried."""
+    """Return whether the shortest way takes it apart; a wall's is whole, whatever is tried."""
     parts = _clusters(cluster, SPLIT_CELL_M, SPLIT_CELLS[-1])
     return len(next(parts)) < len(cluster)
 

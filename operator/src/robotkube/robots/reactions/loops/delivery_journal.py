@@ -119,7 +119,7 @@ class DeliveryJournal:
         self._ending = True
 
     def outlives(self, reaction: str, identity: str) -> bool:
-        """True when this process is to end, and the next one will find the delivery."""
+        """Return whether this process is to end, and the next one will find the delivery."""
         key = reaction, identity
         with self._lock:
             written = key in self._entries and key not in self._unwritten and key not in self._writing
@@ -257,7 +257,7 @@ class ReactionJournal:
 
     @property
     def settled(self) -> bool:
-        """True when it is known what a predecessor has left, or that nobody can know."""
+        """Return whether it is known what a predecessor has left, or that nobody can know."""
         return self._journal is None or self._journal.settled.is_set()
 
     def wait(self, seconds: float) -> None:
@@ -270,7 +270,7 @@ class ReactionJournal:
         return () if self._journal is None else self._journal.from_predecessor(self._reaction)
 
     def outlives(self, delivery: EdgeDelivery) -> bool:
-        """True when the process is to end, and the next one will find the delivery."""
+        """Return whether the process is to end, and the next one will find the delivery."""
         return self._journal is not None and self._journal.outlives(self._reaction, delivery.id)
 
 

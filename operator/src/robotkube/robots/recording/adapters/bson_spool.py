@@ -98,7 +98,7 @@ class BsonSpool:
             os.close(folder)
 
     def _serves(self) -> bool:
-        """True when the volume accepts a file, or says that it is full."""
+        """Return whether the volume accepts a file, or says that it is full."""
         probe = self._unfinished()
         try:
             with probe.open("wb") as file:

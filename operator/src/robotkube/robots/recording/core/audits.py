@@ -293,12 +293,12 @@ class AuditSum:
 
     @property
     def exact(self) -> bool:
-        """True when every number is known."""
+        """Return whether every number is known."""
         return not self.open and all(gap.count is not None for gap in self.gaps)
 
     @property
     def interrupted(self) -> bool:
-        """True when a writer is at work, or was killed: what it received after its last audit is in no number."""
+        """Return whether a writer is at work, or was killed: what it received after its last audit is in no number."""
         return self.open or any((gap.where, gap.why) == (RECORDER, KILLED) for gap in self.gaps)
 
     @property

@@ -123,13 +123,13 @@ def _content(samples: Iterable[tuple[int, str]]) -> str:
 
 
 def bucket_is_whole(bucket: Mapping[str, Any]) -> bool:
-    """True when a bucket has the stamps and digests that its `_id` was made of."""
+    """Return whether a bucket has the stamps and digests that its `_id` was made of."""
     content = _content((sample["stamp"], sample["sha256"]) for sample in bucket["samples"])
     return bool(bucket["_id"].rpartition("/")[2] == content)
 
 
 def entry_is_whole(entry: Mapping[str, Any]) -> bool:
-    """True when an index entry has the stamp that its `_id` was made of."""
+    """Return whether an index entry has the stamp that its `_id` was made of."""
     place = f"{entry['recording']}/{entry['topic']}/{entry['stamp']}"
     return entry["_id"] in (place, f"{place}/{entry['sha256'][:16]}")
 
@@ -187,7 +187,8 @@ class Duplicates:
         self.dropped = 0
 
     def fresh(self, topic: str, stamp: int) -> bool:
-        """True when no message of the topic has this stamp, so that nobody needs its digest to know that it is new."""
+        """Return whether no message of the topic has this stamp, so that nobody needs its digest to know that it is
+        new."""
         return stamp not in self._topics.get(topic, ())
 
     def admit(self, topic: str, stamp: int, sha256: str) -> bool:
@@ -204,5 +205,5 @@ class Duplicates:
         return True
 
     def shares_stamp(self, topic: str, stamp: int) -> bool:
-        """True when different messages of the topic have this stamp."""
+        """Return whether different messages of the topic have this stamp."""
         return len(self._topics.get(topic, {}).get(stamp, ())) > 1

@@ -50,7 +50,7 @@ class StoredMessage:
 
     @property
     def unstamped(self) -> bool:
-        """True when its stamp is the time of its reception: it has none of its own."""
+        """Return whether its stamp is the time of its reception: it has none of its own."""
         return self.stamp == self.received
 
 
@@ -89,7 +89,7 @@ class TopicComparison:
 
     @property
     def complete(self) -> bool:
-        """True when nothing is lost, doubled, changed, invented or unreadable."""
+        """Return whether nothing is lost, doubled, changed, invented or unreadable."""
         return not (self.lost or self.duplicates or self.mismatches or self.unknown or self.unreadable)
 
 
@@ -107,7 +107,7 @@ class LedgerComparison:
 
     @property
     def complete(self) -> bool:
-        """True when every topic is complete and at least one was compared."""
+        """Return whether every topic is complete and at least one was compared."""
         return bool(self.topics) and all(topic.complete for topic in self.topics.values())
 
 

@@ -62,8 +62,8 @@ def canonical(value: Any) -> bytes:
 
 
 def is_final(collection: str, document: Mapping[str, Any]) -> bool:
-    """True when a document will not change any more, as far as entries read it. Audits of the journal's own belong to
-    no chain: they go with what it gives up."""
+    """Return whether a document will not change any more, as far as entries read it. Audits of the journal's own belong
+    to no chain: they go with what it gives up."""
     if collection == SEGMENTS:
         return bool(document["sha256"])
     return collection != AUDITS or (bool(document["closed"]) and not is_journals(document))

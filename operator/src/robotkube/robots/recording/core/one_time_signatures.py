@@ -50,7 +50,7 @@ class OneTimeKey:
 
 
 def holds(message: bytes, signature: bytes, public: bytes) -> bool:
-    """True when the key with this public half has signed this message."""
+    """Return whether the key with this public half has signed this message."""
     whole = len(signature) == _SIGNATURE_BYTES and len(public) == _PUBLIC_BYTES
     if not whole or signature[:4] != _HEAD or public[:4] != _HEAD:
         return False

@@ -122,7 +122,7 @@ class Windows:
 
     @property
     def running(self) -> bool:
-        """True when a cause has not ended."""
+        """Return whether a cause has not ended."""
         return any(cause.stopped is None for cause in self.causes.values())
 
     @property
@@ -142,7 +142,7 @@ class Windows:
         self._update_intervals()
 
     def overlaps(self, trigger: Trigger) -> bool:
-        """True when the window of a new event overlaps or touches this recording's in any topic."""
+        """Return whether the window of a new event overlaps or touches this recording's in any topic."""
         return len(self.causes) < CAUSES_MAX and any(
             topic.window(trigger.stamp, None)[0] <= last + 1
             for topic in self._topics
@@ -154,7 +154,7 @@ class Windows:
         return self._intervals.get(topic.pattern.text, ())
 
     def contains(self, topic: RecordedTopic, stamp: int) -> bool:
-        """True when a message of this stamp belongs to the recording."""
+        """Return whether a message of this stamp belongs to the recording."""
         return topic.latched or any(first <= stamp <= last for first, last in self.intervals(topic))
 
     def _update_intervals(self) -> None:

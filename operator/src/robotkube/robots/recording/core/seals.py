@@ -68,8 +68,8 @@ class SealExamination:
             self._sealed[name] = place
 
     def _continued(self, manifest: WriterManifest) -> bool:
-        """True when a later writer that sealed went on behind this one, as it is, or as it was before the last parts
-        that the volume has the head of: one that is deleted by force may outlive the start of the next."""
+        """Return whether a later writer that sealed went on behind this one, as it is, or as it was before the last
+        parts that the volume has the head of: one that is deleted by force may outlive the start of the next."""
         if manifest.problem:
             return False
         parts = len(manifest.parts)
@@ -218,7 +218,7 @@ class SealExamination:
         return f"the manifest of writer {manifest.life} is not the one behind which writer {later} went on"
 
     def _explained(self, key: str) -> bool:
-        """True when a given key is a manifest's, or that of a writer of which nothing had come to the database."""
+        """Return whether a given key is a manifest's, or that of a writer of which nothing had come to the database."""
         return any(manifest.key == key for manifest in self.manifests) or any(
             key in notes.keys and self._passed_over(life) for _, life, notes in self._noted
         )
@@ -237,12 +237,13 @@ class SealExamination:
                 yield f"writer {life} sealed {parts} parts on {volume}, of which the database has {len(manifest.parts)}"
 
     def _passed_over(self, life: int) -> bool:
-        """True when a later writer that sealed went on without this one, of which nothing had come to the database."""
+        """Return whether a later writer that sealed went on without this one, of which nothing had come to the
+        database."""
         return any(one.sealed and one.life > life and life not in one.before for one in self.manifests)
 
     def _expected(self, life: int, notes: WriterNotes) -> bool:
-        """True when the database should have a manifest of this writer: it had parts of it, or the writer sealed and
-        nobody went on without it, or there is no manifest at all."""
+        """Return whether the database should have a manifest of this writer: it had parts of it, or the writer sealed
+        and nobody went on without it, or there is no manifest at all."""
         return bool(notes.heads) or (not self._passed_over(life) and (bool(notes.seals) or not self.manifests))
 
 

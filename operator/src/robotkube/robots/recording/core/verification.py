@@ -85,21 +85,21 @@ class TopicExamination:
 
     @property
     def counted(self) -> bool:
-        """True when the audits' numbers are those of all writers: of one that was killed, or is at work, they are as it
-        wrote them last, and what it received after that is in none."""
+        """Return whether the audits' numbers are those of all writers: of one that was killed, or is at work, they are
+        as it wrote them last, and what it received after that is in none."""
         audit = self.audit
         return audit is not None and not audit.interrupted and audit.accounted >= self.stored
 
     @property
     def silent(self) -> bool:
-        """True when there is no message and no ledger says why: nobody knows whether there was anything to record."""
+        """Return whether there is no message and no ledger says why: perhaps there was nothing to record."""
         received = self.audit.received if self.audit else 0
         return not (self.problems or self.stored or received or self.comparison)
 
     @property
     def complete(self) -> bool | None:
-        """True when everything that was there to record is stored as it was; None when nobody knows, for want of any
-        message."""
+        """Return whether everything that was there to record is stored as it was; None when nobody knows, for want of
+        any message."""
         return None if self.silent else not self.problems
 
 

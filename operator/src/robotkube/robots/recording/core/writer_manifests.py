@@ -27,7 +27,7 @@ class WriterManifest:
 
     @property
     def sealed(self) -> bool:
-        """True when its seal holds."""
+        """Return whether its seal holds."""
         return self.statement is not None and not self.problem
 
     @property

@@ -98,7 +98,7 @@ class Journal:
 
     @property
     def ready(self) -> bool:
-        """True when volume claim and database have answered, and what an earlier process left is written."""
+        """Return whether volume claim and database have answered, and what an earlier process left is written."""
         return self._ready
 
     @property
@@ -108,7 +108,7 @@ class Journal:
 
     @property
     def complete(self) -> bool:
-        """True when the database has everything that was added."""
+        """Return whether the database has everything that was added."""
         return not (self._waiting or self._spooled or self.counts.discarded or self.failed)
 
     @property
@@ -362,7 +362,7 @@ class Journal:
             self._drop_waiting()
 
     def _durable_waits(self) -> bool:
-        """True when durable writes still wait."""
+        """Return whether durable writes still wait."""
         with self._lock:
             return any(write is self._last_durable for write in self._waiting)
 

@@ -42,7 +42,7 @@ class Offer:
 
     @property
     def large(self) -> bool:
-        """True when it belongs into a segment."""
+        """Return whether it belongs into a segment."""
         return self.storage == SEGMENT or len(self.data) > DOCUMENT_BYTES_MAX
 
 

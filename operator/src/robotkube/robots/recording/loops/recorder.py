@@ -169,7 +169,7 @@ class Recorder:
 
     @property
     def stopped(self) -> bool:
-        """True when the recording has ended."""
+        """Return whether the recording has ended."""
         return not self._thread.is_alive()
 
     def end(self) -> None:

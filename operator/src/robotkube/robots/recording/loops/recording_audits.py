@@ -48,7 +48,7 @@ class RecordingAudits:
         self._known_before: set[str] = set()
 
     def __bool__(self) -> bool:
-        """True when there is an audit to write."""
+        """Return whether there is an audit to write."""
         return bool(self._audits)
 
     def documents(self) -> list[dict[str, Any]]:

@@ -72,7 +72,7 @@ class Recordings:
 
     @property
     def ready(self) -> bool:
-        """True when volume claim and database have answered."""
+        """Return whether volume claim and database have answered."""
         return self._journal.ready
 
     @property

@@ -90,7 +90,8 @@ def pose_and_heading(data: bytes) -> tuple[float, float, float, float | None]:
 
 
 def _pose_start(frame_length: int) -> int:
-    """Where a pose begins behind a header; doubles are aligned to 8 bytes, counted after the encapsulation."""
+    """The offset at which a pose begins behind a header; doubles are aligned to 8 bytes, counted after the
+    encapsulation."""
     return _ENCAPSULATION + (_FRAME_LENGTH - _ENCAPSULATION + 4 + frame_length + 7) // 8 * 8
 
 

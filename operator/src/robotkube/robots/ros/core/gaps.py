@@ -29,7 +29,7 @@ class Gap:
         return {"where": self.where, "why": self.why, "count": self.count, "first": self.first, "last": self.last}
 
     def covers(self, stamp: int) -> bool:
-        """True when the gap explains a missing message with this stamp."""
+        """Return whether the gap explains a missing message with this stamp."""
         return self.first <= stamp <= self.last
 
 

@@ -198,7 +198,7 @@ class SourceClock:
         disorder.note(sample, offset)
 
     def _again(self, sample: Sample, serial: int) -> bool:
-        """True when the message before this one was far off in the same way: then neither is an outlier.
+        """Return whether the message before this one was far off in the same way: then neither is an outlier.
 
         In the same way: near to this one, or as much earlier as it was received earlier; or several on one side.
         """
@@ -218,7 +218,7 @@ class SourceClock:
         return alike or self._suspects >= OUTLIERS_MAX
 
     def _runs_behind(self, sample: Sample, serial: int) -> bool:
-        """True when messages have been behind the newest for so long that it is not a matter of order any more."""
+        """Return whether messages have been behind the newest for so long that it is not a matter of order any more."""
         if self._behind_at != serial - 1:
             self._behind_since = sample.received
             self._behind_count = 0

@@ -52,7 +52,7 @@ class TopicPattern:
 
     @property
     def general(self) -> bool:
-        """True when the pattern stands for one topic per agent."""
+        """Return whether the pattern stands for one topic per agent."""
         return AGENT in self.text
 
     def topic(self, agent: str) -> str:

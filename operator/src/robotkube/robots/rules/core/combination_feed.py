@@ -59,7 +59,7 @@ class CombinationFeed:
         self._note_due()
 
     def waits(self, evaluator: Evaluator) -> bool:
-        """True while edges of its parts wait for a combination: then time alone must not change it."""
+        """Return whether edges of its parts wait for a combination: then time alone must not change it."""
         return bool(self._waiting.get(evaluator.rule.name))
 
     def pass_on(self, edges: Iterable[Edge], now: int) -> list[Edge]:

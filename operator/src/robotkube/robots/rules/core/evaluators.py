@@ -216,7 +216,7 @@ class Evaluator:
         return earliest((self._silences.due(), self.condition.due(), self.events.due()))
 
     def in_doubt(self, stamp: int) -> bool:
-        """True when the time alone may still show an edge at `stamp` or before it."""
+        """Return whether the time alone may still show an edge at `stamp` or before it."""
         return self.condition.in_doubt(stamp) or self.events.in_doubt(stamp) or self._expires(stamp)
 
     def adopt(self, edge: Edge) -> bool:
@@ -271,7 +271,7 @@ class Evaluator:
         return [edge for agent in ordered for edge in self._expire(agent, received)]
 
     def _expires(self, stamp: int) -> bool:
-        """True when an agent for which it holds has been silent for too long at `stamp`."""
+        """Return whether an agent for which it holds has been silent for too long at `stamp`."""
         if not self._expire_ns:
             return False
         ends = (self._end((agent,)) for member in self.condition.holding for agent in member)
@@ -297,7 +297,7 @@ class Evaluator:
         return None if last is None else last[1] + self._expire_ns + GRACE_NS
 
     def _repeated(self, agent: str, stamp: int) -> bool:
-        """True when the agent has been evaluated in this span of time."""
+        """Return whether the agent has been evaluated in this span of time."""
         slot = stamp // self._every_ns
         repeated = self._slots.get(agent) == slot
         self._slots[agent] = slot

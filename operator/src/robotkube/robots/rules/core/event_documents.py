@@ -35,7 +35,7 @@ def edge_document(edge: Edge) -> dict[str, Any]:
 
 
 def is_edge(value: object) -> bool:
-    """True when the value is such a document, as far as `explained` needs it."""
+    """Return whether the value is such a document, as far as `explained` needs it."""
     if not isinstance(value, Mapping) or not all(isinstance(value.get(key), str) for key in ("id", "rule", "edge")):
         return False
     agents, causes, detail = (

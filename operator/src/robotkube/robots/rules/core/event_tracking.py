@@ -52,8 +52,8 @@ class EventTracker:
 
     @property
     def provisional(self) -> bool:
-        """True when an event that is taken over has to prove itself, because its members or parts are not known any
-        more."""
+        """Return whether an event that is taken over has to prove itself, because its members or parts are not known
+        any more."""
         return self.rule.scope == GROUP or isinstance(self.rule.condition, Combination)
 
     def adopt(self, edge: Edge) -> Agents | None:
@@ -126,7 +126,7 @@ class EventTracker:
         return self._timers.due()
 
     def in_doubt(self, stamp: int) -> bool:
-        """True when an event may still begin at `stamp` or before it."""
+        """Return whether an event may still begin at `stamp` or before it."""
         return any(self._beginning(self._states[agents]) <= stamp for agents in self.pending)
 
     def restart(self, agent: str, stamp: int) -> None:

@@ -110,7 +110,7 @@ class OpenIdConnect:
 
 
 def authorization_url(provider: Provider, settings: SignIn, client_id: str, state: str, verifier: str) -> str:
-    """Where a browser is sent to sign in."""
+    """The address to which a browser is sent to sign in."""
     query = {
         "response_type": "code",
         "client_id": client_id,

@@ -368,7 +368,7 @@ def _answered_alike(known: _KnownContribution, index: Index) -> bool:
 
 
 def _placements(expansion: Expansion, index: Index, assignments: Assignments) -> list[Placement] | None:
-    """Where the groups of an expansion are placed now; None, and nothing assigned, when it is elsewhere."""
+    """The places of the groups of an expansion now; None, and nothing assigned, when it is elsewhere."""
     mark = assignments.mark()
     placements = []
     try:

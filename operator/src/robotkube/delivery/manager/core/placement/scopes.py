@@ -160,7 +160,7 @@ def split_agents(scope: Scope, agents: Iterable[str]) -> list[str]:
 
 
 def excesses(manager: Scope, declared: Mapping[str, Mapping[str, frozenset[str]]]) -> list[str]:
-    """Where a declared operator is not the manager's, or is named more than it has: a sentence for each, with the way
+    """The declared operators that are not the manager's, or are given more than it has: a sentence each, with the way
     out. `declared`: namespace of its tasks -> the names given for agents and applications."""
     sentences = []
     whole = {"agents": manager.agents, "applications": manager.applications}

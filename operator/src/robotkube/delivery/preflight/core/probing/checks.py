@@ -187,7 +187,7 @@ def _not_enforced(node: str) -> Problem:
 
 
 def removed(probed: Probed) -> CheckVerdict:
-    """Nothing of the probe is left."""
+    """The check that nothing of the probe is left."""
     name = probed.target.namespace
     if not probed.left:
         return CheckVerdict(f"namespace {name} is gone again, {probed.seconds:.0f} s after it was made")

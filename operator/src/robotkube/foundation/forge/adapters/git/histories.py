@@ -51,7 +51,7 @@ class GitHistory:
         return newest_first[::-1]
 
     def _before(self, commit: str, previous: str) -> str:
-        """Where main stood before a commit; empty when it is the first."""
+        """Main's commit before this one; empty when it is the first."""
         parents = [str(parent) for parent in self._commit(commit).parent_ids]
         if previous in parents[:1] or not parents:
             return "".join(parents[:1])

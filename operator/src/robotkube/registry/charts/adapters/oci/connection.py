@@ -185,7 +185,7 @@ class RegistryConnection:
         return bytes(data)
 
     def _begin(self, repository: str, digest: str) -> str | None:
-        """Where to send a blob; None when that is not needed."""
+        """The address to send a blob to; None when that is not needed."""
         if self._call("HEAD", f"{repository}/blobs/{digest}").status_code == httpx.codes.OK:
             self._held.setdefault(digest, repository)
             return None

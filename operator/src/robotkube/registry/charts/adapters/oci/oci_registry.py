@@ -109,7 +109,7 @@ class OciRegistry:
         return self._connection.blob(repository, digest, bytes_max)
 
     def blob_pieces(self, repository: str, digest: str, bytes_max: int) -> Iterator[bytes]:
-        """That blob, piece by piece; InputError at its end when these were not the digest's bytes."""
+        """The pieces of a blob, one by one; InputError at its end when these were not the digest's bytes."""
         return self._connection.blob_pieces(repository, digest, bytes_max)
 
     def list(self, repository: str) -> tuple[str, ...]:

@@ -148,7 +148,7 @@ class _Scan:
 
 
 def _ended(file: BufferedRandom) -> bool:
-    """True when the file has the magic of its end."""
+    """Return whether the file has the magic of its end."""
     if os.fstat(file.fileno()).st_size < 2 * len(MAGIC):
         return False
     file.seek(-len(MAGIC), os.SEEK_END)
@@ -156,7 +156,7 @@ def _ended(file: BufferedRandom) -> bool:
 
 
 def _busy(path: Path) -> bool:
-    """True when somebody writes it; of a file that cannot be opened the repair itself has to say why."""
+    """Return whether somebody writes it; of a file that cannot be opened the repair itself has to say why."""
     try:
         with _locked(path) as file:
             return file is None

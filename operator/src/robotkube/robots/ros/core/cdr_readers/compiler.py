@@ -130,7 +130,7 @@ def _within_element(want: FieldSelection, columns: list[tuple[str, int]], severa
 
 
 def _is_one_read(every: steps_of.Every) -> bool:
-    """True when one read gives all columns of an element."""
+    """Return whether one read gives all columns of an element."""
     first = every.steps[0]
     return isinstance(first, steps_of.ReadRun) and len(first.slots) == len(every.columns)
 

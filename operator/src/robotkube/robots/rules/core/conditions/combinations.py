@@ -140,7 +140,7 @@ class CombinationCondition(RuleCondition):
                 starts.append((edge.stamp, edge.agents))
 
     def _complete(self, member: Member, stamp: int) -> bool:
-        """True when the earlier parts began one after the other before `stamp`, all within the time.
+        """Return whether the earlier parts began one after the other before `stamp`, all within the time.
 
         The search goes backwards and takes each start as late as can be."""
         bound = stamp

@@ -94,7 +94,7 @@ class RuleCondition:
         not to be believed (None)."""
 
     def in_doubt(self, stamp: int) -> bool:
-        """True when the time may still show a change at `stamp` or before it."""
+        """Return whether the time may still show a change at `stamp` or before it."""
         return False
 
     def forget(self, agent: str) -> None:

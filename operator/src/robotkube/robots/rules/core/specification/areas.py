@@ -118,7 +118,7 @@ class Area:
         self._segments = [segment for polygon in polygons for ring in polygon for segment in _segments(ring)]
 
     def contains(self, x: float, y: float) -> bool:
-        """True when the point lies within."""
+        """Return whether the point lies within."""
         return any(
             left <= x <= right and low <= y <= high and _within(polygon, x, y)
             for polygon, (left, low, right, high) in self._polygons

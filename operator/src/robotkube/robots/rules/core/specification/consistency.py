@@ -132,7 +132,7 @@ def _reaches(rule: Rule, name: str, by_name: Mapping[str, Rule]) -> bool:
 
 
 def universal(rule: Rule) -> bool:
-    """True when an event of the rule concerns every agent."""
+    """Return whether an event of the rule concerns every agent."""
     return rule.scope == GROUP or isinstance(rule.condition, Always)
 
 
