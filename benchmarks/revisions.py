@@ -93,7 +93,7 @@ def differences(ours: Sequence[Round], before: Sequence[Round], units: Mapping[s
     """The figures that all rounds of both have; what only one of them has cannot be compared."""
     names = [name for name in units if all(name in one for one in (*ours, *before))]
     return [
-        Difference(name, units[name], tuple(one[name] for one in ours), tuple(one[name] for one in before))
+        Difference(name, units[name], tuple(our[name] for our in ours), tuple(one[name] for one in before))
         for name in names
     ]
 

@@ -110,7 +110,7 @@ class Installer:
                 f"kubectl delete crd {' '.join(DEFINITIONS)}"
             )
         verdict = argocd_installed(self._present_argocd())
-        wrong = [*(f"{one.what}: {one.fix}" for one in verdict.problems), *filter(None, [verdict.unseen])]
+        wrong = [*(f"{problem.what}: {problem.fix}" for problem in verdict.problems), *filter(None, [verdict.unseen])]
         if wrong:
             raise SetUpError(f"namespace {ARGOCD} was not made here, and its Argo CD is not used: {'; '.join(wrong)}")
         self.namespace(NAMESPACE, RESTRICTED)
@@ -321,7 +321,7 @@ def chosen_volumes(
     """Volumes to apply so that each waiting claim gets a free one of its agent, if all of these are on one node."""
     free = [one for one in volumes if one["status"].get("phase") == "Available" and not one["spec"].get("claimRef")]
     chosen = []
-    for volume_claim in (one for one in volume_claims if one["status"].get("phase") == "Pending"):
+    for volume_claim in (claim for claim in volume_claims if claim["status"].get("phase") == "Pending"):
         agent = volume_claim["metadata"]["labels"][AGENT]
         own = [one for one in free if one["metadata"].get("labels", {}).get(AGENT) == agent]
         if len({json.dumps(one["spec"].get("nodeAffinity"), sort_keys=True) for one in own}) != 1:

@@ -45,7 +45,7 @@ def compare() -> list[Comparison]:
 
 def medians(breakdowns: list[dict[str, float | None]]) -> dict[str, float]:
     """Part -> the median over the encounters in which it is known, in s."""
-    parts = {name: [one[name] for one in breakdowns] for name in breakdowns[0]}
+    parts = {name: [breakdown[name] for breakdown in breakdowns] for name in breakdowns[0]}
     known = {name: [value for value in values if value is not None] for name, values in parts.items()}
     return {name: round(statistics.median(values), 3) for name, values in known.items() if values}
 

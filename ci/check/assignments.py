@@ -29,7 +29,7 @@ def mixed(tree: ast.AST) -> Iterator[tuple[int, list[str]]]:
                 if isinstance(target, ast.Tuple) and len(target.elts) == len(node.value.elts):
                     kinds = {_kind(value) for value in node.value.elts}
                     if len(kinds) > 1 and not _reads_what_it_assigns(target, node.value):
-                        yield node.lineno, [ast.unparse(one) for one in target.elts]
+                        yield node.lineno, [ast.unparse(elt) for elt in target.elts]
 
 
 def _kind(value: ast.expr) -> str:
@@ -49,6 +49,6 @@ def _kind(value: ast.expr) -> str:
 
 
 def _reads_what_it_assigns(target: ast.Tuple, value: ast.Tuple) -> bool:
-    assigned = {ast.unparse(one) for one in target.elts}
+    assigned = {ast.unparse(elt) for elt in target.elts}
     read = {ast.unparse(node) for node in ast.walk(value) if isinstance(node, ast.Name | ast.Attribute | ast.Subscript)}
     return bool(assigned & read)

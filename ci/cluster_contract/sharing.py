@@ -40,7 +40,7 @@ def labels(members: Sequence[AgentOfNode]) -> dict[str, str]:
 def platform_values(nodes: Mapping[str, Mapping[str, str]]) -> dict[str, Any]:
     """Values of the platform's chart that say where its pods run, when the platform is a guest by the labels of Nodes
     (by name); nothing when it is none. InputError where it would have to be chosen by two labels."""
-    of_platform = [(name, one) for name, has in nodes.items() for one in node_agents(has) if one.role == PLATFORM]
+    of_platform = [(name, agent) for name, has in nodes.items() for agent in node_agents(has) if agent.role == PLATFORM]
     if not any(one.guest for _, one in of_platform):
         return {}
     if len(of_platform) > 1:

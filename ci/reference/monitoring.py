@@ -28,10 +28,10 @@ def page(text: str) -> str:
 
 def _table(alerts: list[dict[str, Any]]) -> Iterator[str]:
     yield from ("| alert | severity | told when it holds for | expression |", "| --- | --- | --- | --- |")
-    for one in alerts:
-        lasts = f"{one['seconds']} s" if one["seconds"] else "at once"
-        expression = " ".join(one["expr"].split()).replace("|", "\\|")
-        yield f"| `{one['alert']}` | {one['severity']} | {lasts} | `{expression}` |"
+    for alert in alerts:
+        lasts = f"{alert['seconds']} s" if alert["seconds"] else "at once"
+        expression = " ".join(alert["expr"].split()).replace("|", "\\|")
+        yield f"| `{alert['alert']}` | {alert['severity']} | {lasts} | `{expression}` |"
 
 
 def write() -> Path:

@@ -72,10 +72,11 @@ def page(principles: Sequence[Principle], results: Mapping[str, str]) -> str:
     """The whole page."""
     lines = [HEAD, "| | principle | last run |", "| --- | --- | --- |"]
     lines += [
-        f"| [{one.name}](#{one.name}) | {one.principle} | {WORDS.get(results.get(one.name, ''), UNKNOWN)} |"
-        for one in principles
+        f"| [{principle.name}](#{principle.name}) | {principle.principle} "
+        f"| {WORDS.get(results.get(principle.name, ''), UNKNOWN)} |"
+        for principle in principles
     ]
-    text = "\n".join([*lines, "", *(line for one in principles for line in _chapter(one))]).rstrip() + "\n"
+    text = "\n".join([*lines, "", *(line for principle in principles for line in _chapter(principle))]).rstrip() + "\n"
     return markdown.wrapped(text)
 
 

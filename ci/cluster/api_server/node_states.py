@@ -25,13 +25,13 @@ def node_states(item: Mapping[str, Any]) -> tuple[NodeState, ...]:
     return tuple(
         NodeState(
             name=item["metadata"]["name"],
-            role=one.role,
-            agent=one.name,
+            role=agent.role,
+            agent=agent.name,
             address=addresses.get("InternalIP", "0.0.0.0"),  # noqa: S104 - a value to sort by, nothing listens there
             ready=conditions.get("Ready") == "True",
-            guest=one.guest,
+            guest=agent.guest,
         )
-        for one in node_agents(item["metadata"].get("labels", {}))
+        for agent in node_agents(item["metadata"].get("labels", {}))
     )
 
 

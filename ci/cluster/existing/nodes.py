@@ -59,7 +59,7 @@ class GivenNodes:
 
     def states(self) -> tuple[NodeState, ...]:
         """Those that are agents', by name."""
-        return tuple(one for one in self.all_states() if one.agent)
+        return tuple(state for state in self.all_states() if state.agent)
 
     def all_states(self) -> tuple[NodeState, ...]:
         """All Nodes, by name, each for every one of its agents."""

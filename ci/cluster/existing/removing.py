@@ -55,7 +55,7 @@ def goes(installer: Installer, added: Mapping[str, str]) -> str:
     """The sentence that names the namespaces that `remove` would take away, and the volume claims that go with them."""
     namespaces = _namespaces(installer, _kept_by_helm(installer), added)
     volume_claims = json.loads(installer.kubectl("get", "persistentvolumeclaims", "-A", "-o", "json"))["items"]
-    places = ((one["metadata"]["namespace"], one["metadata"]["name"]) for one in volume_claims)
+    places = ((claim["metadata"]["namespace"], claim["metadata"]["name"]) for claim in volume_claims)
     names = [f"{namespace}/{name}" for namespace, name in places if namespace in namespaces]
     lost = f", and what is in volume claims {', '.join(names)}" if names else ""
     return f"what was installed goes, with namespaces {', '.join(namespaces)}{lost}"
@@ -94,7 +94,9 @@ def _with(installer: Installer, annotations: Mapping[str, str]) -> list[str]:
     """Namespaces that have these annotations."""
     namespaces = json.loads(installer.kubectl("get", "namespaces", "-o", "json"))["items"]
     chosen = (
-        one["metadata"] for one in namespaces if annotations.items() <= one["metadata"].get("annotations", {}).items()
+        namespace["metadata"]
+        for namespace in namespaces
+        if annotations.items() <= namespace["metadata"].get("annotations", {}).items()
     )
     return [str(one["name"]) for one in chosen]
 

@@ -36,7 +36,7 @@ class K3sNode:
 
     def lacking(self, references: Iterable[str]) -> list[str]:
         """Those of the images that it surely has not."""
-        return [one for one in references if self.images is not None and one not in self.images]
+        return [reference for reference in references if self.images is not None and reference not in self.images]
 
 
 def read(item: Mapping[str, Any]) -> K3sNode:

@@ -18,7 +18,7 @@ def chart_values(
     know, since it enforces them: of API servers and kubelets. `classes`: the names of StorageClasses."""
     servers = {address for address, _ in api_servers}
     hosts = [*sorted(servers), *(own for node in nodes if node.address in servers for own in _own_addresses(node))]
-    api_server = {"to": [_block(one) for one in hosts], "ports": sorted({port for _, port in api_servers})}
+    api_server = {"to": [_block(host) for host in hosts], "ports": sorted({port for _, port in api_servers})}
     kubelets = {"to": [_block(address) for address in sorted({node.address for node in nodes if node.address})]}
     policies = {**({"apiServer": api_server} if servers else {}), **({"kubelets": kubelets} if kubelets["to"] else {})}
     return {**({"storage": {"className": STORAGE}} if STORAGE in classes else {}), "networkPolicies": policies}

@@ -74,7 +74,7 @@ class WalkRecorder:
     @property
     def missed(self) -> list[str]:
         """The forms and hand-overs of the route that the value did not pass."""
-        names = {name_of(form) for form in self._route.forms} | {name_of(one) for one in self._route.hand_overs}
+        names = {name_of(form) for form in self._route.forms} | {name_of(over) for over in self._route.hand_overs}
         return sorted((names | {name_of(self._route.end)}) - self.reached)
 
     @contextmanager

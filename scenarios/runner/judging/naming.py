@@ -71,4 +71,4 @@ def _total(encounters: Sequence[Encounter], count: Callable[[TopicNaming], int])
     of_encounters = [naming(encounter) for encounter in encounters]
     if not of_encounters or None in of_encounters:
         return None
-    return sum(count(one) for topics in of_encounters for one in topics or ())
+    return sum(count(topic) for topics in of_encounters for topic in topics or ())

@@ -126,7 +126,7 @@ def _timeline(moments: Sequence[Document]) -> Iterator[Document]:
 
 def _breakdown(encounters: Sequence[Mapping[str, float | None]]) -> Iterator[Document]:
     """Per encounter its total, and its parts with their shares of the longest one's total."""
-    whole = max((sum(filter(None, one.values())) for one in encounters), default=0.0) or 1.0
+    whole = max((sum(filter(None, encounter.values())) for encounter in encounters), default=0.0) or 1.0
     for one in encounters:
         total = None if None in one.values() else sum(filter(None, one.values()))
         yield {"total": total, "parts": [_part(seconds, whole) for seconds in one.values()]}

@@ -96,7 +96,7 @@ def _document(
             },
             "latency_seconds": latencies[0] if latencies else dict.fromkeys(measures.LATENCIES),
             "latency_quantiles": {
-                name: measures.quantiles(one[name] for one in latencies) for name in measures.LATENCIES
+                name: measures.quantiles(latency[name] for latency in latencies) for name in measures.LATENCIES
             },
             "latency_breakdown_seconds": [measures.breakdown(encounter) for encounter in met],
             "recorded": measures.recorded(met),
@@ -134,9 +134,13 @@ def _network(inputs: RunInputs, met: Sequence[Encounter]) -> dict[str, Any]:
 
 def _task(inputs: RunInputs, task: TaskLife) -> dict[str, Any]:
     conditions = [
-        {"seconds": _since(inputs, one.time), "condition": f"{one.type}={one.status}", "reason": one.reason}
-        | {"message": one.message}
-        for one in task.conditions
+        {
+            "seconds": _since(inputs, condition.time),
+            "condition": f"{condition.type}={condition.status}",
+            "reason": condition.reason,
+        }
+        | {"message": condition.message}
+        for condition in task.conditions
     ]
     lived = {"created": _since(inputs, task.created), "deleted": _since(inputs, task.deleted)}
     return {"task": task.key, "parent": task.parent or None, **lived, "conditions": conditions}

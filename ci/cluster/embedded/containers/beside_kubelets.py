@@ -86,7 +86,7 @@ class Unknown:
 def unknown(node: NodeContents) -> tuple[Unknown, ...]:
     """The containers of a node that nobody of the cluster started, or that its kubelet is just about to write down.
     Nothing runs in one that waits."""
-    running = [one for one in node.containers if not one.waits]
+    running = [container for container in node.containers if not container.waits]
     others = [one for one in running if one.runtime_namespace != KUBELETS]
     own = [one for one in running if one.runtime_namespace == KUBELETS]
     started = [one for one in own if _is_started(one, node)]
@@ -106,12 +106,12 @@ def _sandboxes(own: Iterable[Container], started: Iterable[Container], node: Nod
     """The sandboxes that the kubelet made: one with started containers in it is older than all of them."""
     sandboxes = [one for one in own if one.kind == SANDBOX]
     oldest = {one.sandbox: one.made_ns for one in sorted(started, key=lambda one: -one.made_ns)}
-    sandboxes_of_pod = Counter(one.pod_uid for one in sandboxes)
+    sandboxes_of_pod = Counter(sandbox.pod_uid for sandbox in sandboxes)
     return [
-        one
-        for one in sandboxes
-        if one.made_ns <= oldest.get(one.id, -1)
-        or (one.id not in oldest and sandboxes_of_pod[one.pod_uid] == 1 and _is_recorded(one, node))
+        sandbox
+        for sandbox in sandboxes
+        if sandbox.made_ns <= oldest.get(sandbox.id, -1)
+        or (sandbox.id not in oldest and sandboxes_of_pod[sandbox.pod_uid] == 1 and _is_recorded(sandbox, node))
     ]
 
 

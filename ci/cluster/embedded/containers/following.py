@@ -59,7 +59,7 @@ class ContainersOfNodes:
     def names(self) -> Iterable[str]:
         """The nodes that are there now, by their records."""
         runtimes = recorded(self._folders, f"*{CONTAINERD}")
-        self._alive = {one.name.removesuffix(CONTAINERD): one.alive() for one in runtimes}
+        self._alive = {runtime.name.removesuffix(CONTAINERD): runtime.alive() for runtime in runtimes}
         return sorted(self._alive)
 
     def read(self, name: str) -> NodeContents:

@@ -304,10 +304,10 @@ def can(what: str) -> bool:
 def _counted(text: str) -> tuple[int, int, int]:
     """The counters of a table: packets, those that were lost, those in holes."""
     counters = [entry["counter"] for entry in json.loads(text)["nftables"] if "counter" in entry]
-    packets = {one["name"]: int(one["packets"]) for one in counters}
+    packets = {counter["name"]: int(counter["packets"]) for counter in counters}
     return packets[rules.CARRIED], packets[rules.LOST], packets[rules.IN_HOLES]
 
 
 def _queue_full(text: str) -> int:
     """The packets for which a cable's queue had no place."""
-    return sum(int(one.get("drops", 0)) for one in json.loads(text) if one["kind"] in ("tbf", "netem"))
+    return sum(int(load.get("drops", 0)) for load in json.loads(text) if load["kind"] in ("tbf", "netem"))

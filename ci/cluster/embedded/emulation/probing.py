@@ -76,7 +76,7 @@ def _probed(ends: Ends, asked: NetworkConditions, trips: Sequence[float | None])
 def round_trips(ends: Sequence[Ends]) -> list[list[float | None]]:
     """The times of ROUND_TRIPS packets there and back on every cable, in seconds; None: one of the two was lost. What
     this process takes to answer is not in them."""
-    probes = [_RoundTrips(*_pair(one)) for one in ends]
+    probes = [_RoundTrips(*_pair(end)) for end in ends]
     by_socket = {one.near: one for one in probes} | {one.far: one for one in probes}
     begun = time.time()
     number = 0

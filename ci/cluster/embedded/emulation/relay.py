@@ -119,7 +119,7 @@ def main() -> None:
     parser.add_argument("--name", required=True, help="of the cluster")
     folders = ClusterFolders(parser.parse_args().name)
     settings = json.loads((folders.base / f"{NAME}.settings.json").read_text(encoding="utf-8"))
-    by_source = {one.source: one for one in directions(settings["cables"])}
+    by_source = {direction.source: direction for direction in directions(settings["cables"])}
     reported = None
     due = 0.0
     stopping = threading.Event()

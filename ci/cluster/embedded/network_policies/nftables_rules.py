@@ -223,7 +223,7 @@ def _elements(what: str, kind: str, elements: Sequence[str]) -> Iterator[str]:
 def _addresses(networks: Networks, word: str) -> str:
     if networks == EVERYBODY:
         return ""
-    elements = ", ".join(str(one.network_address if one.prefixlen == 32 else one) for one in networks)
+    elements = ", ".join(str(network.network_address if network.prefixlen == 32 else network) for network in networks)
     return f"ip {word} {{ {elements} }}"
 
 
@@ -261,7 +261,7 @@ def _within(address: str, networks: Networks) -> bool:
 
 def _names(policies: Sequence[NetworkPolicy]) -> str:
     """The names of the policies that select a pod, for who reads the rules."""
-    return f"{policies[0].namespace}: {', '.join(sorted(one.name for one in policies))}"[:COMMENT_CHARACTERS_MAX]
+    return f"{policies[0].namespace}: {', '.join(sorted(policy.name for policy in policies))}"[:COMMENT_CHARACTERS_MAX]
 
 
 def _identity(pod: NetworkPeer) -> tuple[str, str]:

@@ -44,7 +44,7 @@ class Seen:
         """What is strange, in a sentence; empty when nothing is."""
         if not self.strangers:
             return ""
-        first = ", ".join(_words(one) for one in self.strangers[:NAMED_MAX])
+        first = ", ".join(_words(stranger) for stranger in self.strangers[:NAMED_MAX])
         rest = len(self.strangers) + self.more - min(len(self.strangers), NAMED_MAX)
         count = len(self.strangers) + self.more
         what = "1 stranger runs" if count == 1 else f"{count} strangers run"

@@ -177,7 +177,9 @@ class MemoryChartRegistry:
             raise InputError(f"{source} has no manifest {digest}; push it again")
         self.images.setdefault(target, set()).add(digest)
         there = self.attached.setdefault((target, digest), [])
-        attached = [one for one in self.attachments(source, digest) if one.artifact_type == artifact_type]
+        attached = [
+            attachment for attachment in self.attachments(source, digest) if attachment.artifact_type == artifact_type
+        ]
         there += [one for one in attached if one not in there]
 
     def remove_image(self, repository: str, digest: str) -> None:

@@ -137,7 +137,7 @@ def _over_time(vehicles: Mapping[str, Quantiles]) -> Drawing:
     shown = sorted(sorted(vehicles, key=lambda agent: -oldest[agent])[:ROWS_MAX])
     most = max(1.0, max(oldest.values()))
     bottom = TOP + ROW_HEIGHT * len(shown)
-    across = scale((row[0] for one in vehicles.values() for row in one), ROWS_LEFT, RIGHT - 42)
+    across = scale((row[0] for vehicle in vehicles.values() for row in vehicle), ROWS_LEFT, RIGHT - 42)
     parts = [Axes(across, Scale(0.0, 1.0, bottom, TOP)).drawn("seconds since the start", "")]
     for number_, agent in enumerate(shown):
         floor = TOP + ROW_HEIGHT * (number_ + 1)

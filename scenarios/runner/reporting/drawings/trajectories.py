@@ -223,10 +223,10 @@ def merged(dots: Sequence[tuple[int, Point]]) -> list[Mark]:
             groups.append([dot])
     return [
         Mark(
-            (sum(place[0] for _, place in one) / len(one), sum(place[1] for _, place in one) / len(one)),
-            str(one[0][0]) if len(one) == 1 else f"{one[0][0]}-{one[-1][0]}",
+            (sum(place[0] for _, place in group) / len(group), sum(place[1] for _, place in group) / len(group)),
+            str(group[0][0]) if len(group) == 1 else f"{group[0][0]}-{group[-1][0]}",
         )
-        for one in groups
+        for group in groups
     ]
 
 

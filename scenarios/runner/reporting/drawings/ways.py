@@ -54,9 +54,9 @@ def ways(document: Document) -> Iterator[Drawing]:
 
 def _bars(steps: Sequence[Document]) -> list[Bar]:
     known = [
-        Bar(str(one["step"]), begin, end, bool(one["critical"]))
-        for one in steps
-        if (begin := finite(one["begin"])) is not None and (end := finite(one["end"])) is not None and begin <= end
+        Bar(str(step["step"]), begin, end, bool(step["critical"]))
+        for step in steps
+        if (begin := finite(step["begin"])) is not None and (end := finite(step["end"])) is not None and begin <= end
     ]
     first = min((bar.begin for bar in known), default=0.0)
     return [Bar(bar.step, bar.begin - first, bar.end - first, bar.critical) for bar in known]

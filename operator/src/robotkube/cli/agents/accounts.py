@@ -122,7 +122,7 @@ def rows(
     ends: Ends,
 ) -> list[Document]:
     """A row for each agent; `nodes` and `leases` are Nodes of agents and the leases of all Nodes."""
-    heard = {one["metadata"]["name"]: str(one.get("spec", {}).get("renewTime") or "") for one in leases}
+    heard = {lease["metadata"]["name"]: str(lease.get("spec", {}).get("renewTime") or "") for lease in leases}
     listed: list[Document] = []
     for agent in sorted(agents, key=lambda one: one.name):
         own = [node for node in nodes if agent.name in _owners(node)]
@@ -146,7 +146,7 @@ def shared_rows(nodes: Iterable[Document]) -> list[Document]:
 
 
 def _owners(node: Document) -> list[str]:
-    return [one.name for one in node_agents(node["metadata"].get("labels") or {})]
+    return [agent.name for agent in node_agents(node["metadata"].get("labels") or {})]
 
 
 def _time(seconds: float | None) -> str:
@@ -186,4 +186,4 @@ def _versions(releases: Iterable[Release]) -> dict[str, list[str]]:
 
 def _ready(node: Document) -> bool:
     conditions = node.get("status", {}).get("conditions") or ()
-    return any(one.get("type") == "Ready" and one.get("status") == "True" for one in conditions)
+    return any(condition.get("type") == "Ready" and condition.get("status") == "True" for condition in conditions)

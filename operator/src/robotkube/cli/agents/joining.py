@@ -150,7 +150,7 @@ def token_ends(platform: Platform) -> Mapping[str, str]:
         tokens = join_tokens(platform)
     except InputError:
         return {}
-    return {_agent(one): base64.b64decode(one["data"]["expiration"]).decode() for one in tokens}
+    return {_agent(token): base64.b64decode(token["data"]["expiration"]).decode() for token in tokens}
 
 
 def _agent(secret: Mapping[str, Any]) -> str:

@@ -117,7 +117,7 @@ def shown(findings: Sequence[ClusterFinding], unreachable: str = "") -> Table:
     return Table(
         "checks",
         COLUMNS,
-        [one.document for one in findings],
+        [finding.document for finding in findings],
         text="".join(f"{line}\n" for line in _lines(findings)),
         refusal=f"{len(failed)} of {len(findings)} checks failed: {', '.join(failed)}" if failed else "",
         unreachable=unreachable,
@@ -126,12 +126,13 @@ def shown(findings: Sequence[ClusterFinding], unreachable: str = "") -> Table:
 
 
 def _names(findings: Sequence[ClusterFinding], result: str) -> list[str]:
-    return [one.check for one in findings if one.result == result]
+    return [finding.check for finding in findings if finding.result == result]
 
 
 def _lines(findings: Sequence[ClusterFinding]) -> Iterator[str]:
     widths = [
-        max(len(text) for text in column) for column in zip(*((one.result, one.check) for one in findings), strict=True)
+        max(len(text) for text in column)
+        for column in zip(*((finding.result, finding.check) for finding in findings), strict=True)
     ]
     for one in findings:
         yield f"{one.result.ljust(widths[0])}  {one.check.ljust(widths[1])}  {one.says}"

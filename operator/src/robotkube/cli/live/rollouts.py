@@ -58,4 +58,7 @@ def _wanted(item: Object) -> int:
 def _condition(item: Object, kind: str) -> Object | None:
     """A condition that is true."""
     conditions = (item.get("status") or {}).get("conditions") or ()
-    return next((one for one in conditions if one.get("type") == kind and one.get("status") == "True"), None)
+    return next(
+        (condition for condition in conditions if condition.get("type") == kind and condition.get("status") == "True"),
+        None,
+    )

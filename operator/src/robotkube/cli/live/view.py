@@ -49,7 +49,7 @@ def view(picture: PlatformPicture, now_ns: int, lines: int) -> RenderableType:
 
 
 def _heading(picture: PlatformPicture, agents: list[AgentRow], now_ns: int) -> Text:
-    fine = sum(one.is_fine for one in agents)
+    fine = sum(agent.is_fine for agent in agents)
     under_way = sum(plan["observed"] is None and plan["error"] is None for plan in picture.plans.values())
     counted = [f"{fine} of {len(agents)} agents ready", _count(len(picture.tasks), "task")]
     counted += [f"{_count(under_way, 'plan')} under way"] if under_way else []
@@ -61,11 +61,11 @@ def _fleet(agents: list[AgentRow]) -> Table:
     for heading in ("AGENT", "ROLE", "NODE", "PODS"):
         table.add_column(heading, no_wrap=True)
     table.add_column("RUNS", no_wrap=True, overflow="ellipsis", ratio=1)
-    for one in agents:
-        node = Text(_node(one), style="" if one.ready else "bold red")
-        ready = "?" if one.silent else one.pods_ready  # what a silent Node's pods do, nobody knows
-        pods = Text(f"{ready}/{one.pods}", style="" if one.pods_ready == one.pods else "yellow")
-        table.add_row(Text(one.agent), Text(one.role), node, pods, Text(", ".join(one.runs)))
+    for agent in agents:
+        node = Text(_node(agent), style="" if agent.ready else "bold red")
+        ready = "?" if agent.silent else agent.pods_ready  # what a silent Node's pods do, nobody knows
+        pods = Text(f"{ready}/{agent.pods}", style="" if agent.pods_ready == agent.pods else "yellow")
+        table.add_row(Text(agent.agent), Text(agent.role), node, pods, Text(", ".join(agent.runs)))
     return table
 
 

@@ -48,7 +48,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> Certifica
         certificates=tuple(_certificate(reader, one, f"certificates[{i}]") for i, one in certificates),
         accounts=_accounts(reader, root["accounts"]) if root.get("accounts") is not None else None,
     )
-    secrets = [one.secret for one in issuance.certificates]
+    secrets = [certificate.secret for certificate in issuance.certificates]
     if not secrets:
         reader.problems.append("certificates: must name the Secret of one server at least")
     if len(set(secrets)) < len(secrets) or issuance.authority in secrets:
@@ -64,7 +64,7 @@ def _accounts(reader: Reader, value: Any) -> AccountIssuance:
     accounts = reader.mapping(value, "accounts", ["of", "life_seconds", "register", "shut"])
     of = enumerate(reader.sequence(accounts.get("of"), "accounts.of"))
     certificates = tuple(_account(reader, one, f"accounts.of[{i}]") for i, one in of)
-    if len({one.account for one in certificates}) < len(certificates):
+    if len({certificate.account for certificate in certificates}) < len(certificates):
         reader.problems.append("accounts.of: names an account twice")
     return AccountIssuance(
         certificates,

@@ -253,7 +253,7 @@ class GiteaAdministration:
 
     def _sign_in_client(self, name: str) -> Any:
         """The first one of this name; None when there is none. Gitea lets a name stand for several."""
-        named = [one for one in self._pages(SIGN_IN_CLIENTS) if one["name"] == name]
+        named = [page for page in self._pages(SIGN_IN_CLIENTS) if page["name"] == name]
         return min(named, key=lambda one: int(one["id"]), default=None)
 
     def _find(self, path: str) -> Any:

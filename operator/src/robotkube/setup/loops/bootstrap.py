@@ -244,14 +244,14 @@ class Bootstrap:
 
     def sign_in(self, clients: Sequence[SignInClient], forge: ForgeAdministration, client_ids: ClientIds) -> None:
         """Clients by which people sign in, and their ids where processes read them."""
-        for one in clients:
+        for client in clients:
             self._step(
-                f"client {one.name}",
-                lambda c=one: forge.make_sign_in_client(c.name, c.redirect),  # type: ignore[misc]
+                f"client {client.name}",
+                lambda c=client: forge.make_sign_in_client(c.name, c.redirect),  # type: ignore[misc]
             )
             self._step(
-                f"client id in {one.namespace}/{one.config_map}",
-                lambda c=one: client_ids.publish(c.namespace, c.config_map, forge.client_id(c.name)),  # type: ignore[misc]
+                f"client id in {client.namespace}/{client.config_map}",
+                lambda c=client: client_ids.publish(c.namespace, c.config_map, forge.client_id(c.name)),  # type: ignore[misc]
             )
 
     def database(self, accounts: Sequence[DatabaseAccount], database: DatabaseAdministration) -> None:

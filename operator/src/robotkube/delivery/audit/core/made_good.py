@@ -61,6 +61,6 @@ def _with_accepted(ends: Mapping[str, MadeGood], text: str, commit: str) -> Iter
 
 def with_ends(findings: Iterable[Finding], ends: Mapping[str, MadeGood]) -> Iterator[Finding]:
     """The findings; those about commits that were made good say so."""
-    for one in findings:
-        end = ends.get(one.commit) if one.kind in REPORTED else None
-        yield replace(one, what=f"{one.what}; {end.how} by commit {end.commit}") if end else one
+    for finding in findings:
+        end = ends.get(finding.commit) if finding.kind in REPORTED else None
+        yield replace(finding, what=f"{finding.what}; {end.how} by commit {end.commit}") if end else finding

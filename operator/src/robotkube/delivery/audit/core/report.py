@@ -87,15 +87,15 @@ def document(
         "applications": list(applications),
         "findings": [
             {
-                "finding": one.kind,
-                "place": one.place,
-                "where": one.where,
-                "what": one.what,
-                "means": one.meaning,
-                "commit": one.commit or None,
-                "concerns": whole or one.commit in commits or bool(names & set(one.about)),
+                "finding": finding.kind,
+                "place": finding.place,
+                "where": finding.where,
+                "what": finding.what,
+                "means": finding.meaning,
+                "commit": finding.commit or None,
+                "concerns": whole or finding.commit in commits or bool(names & set(finding.about)),
             }
-            for one in findings
+            for finding in findings
         ],
         "findings_accepted": accepted,
         "cannot_be_told": [

@@ -38,7 +38,9 @@ class KubernetesCertificates:
     def __init__(self, api: RequestingApi, issuance: Issuance) -> None:
         self._api = api
         self._issuance = issuance
-        self._namespaces = {one.secret: one.namespace for one in issuance.certificates if one.namespace}
+        self._namespaces = {
+            certificate.secret: certificate.namespace for certificate in issuance.certificates if certificate.namespace
+        }
         self._version = self._register_version = ""
 
     def authority(self) -> Pair | None:

@@ -47,7 +47,7 @@ class Register:
     def revoking(self, shut: Container[str], accounts: Iterable[AccountCertificate], now: float) -> Register:
         """A register with all revoked that is of an account which is shut, is there no more, or has another number by
         now. What is revoked stays so."""
-        numbers = {one.account: one.number for one in accounts}
+        numbers = {account.account: account.number for account in accounts}
         return replace(
             self,
             issued=tuple(

@@ -49,7 +49,7 @@ class CertificateKeeper:
         self.problem = "nothing was looked at yet"
         self.lives: dict[str, Life] = {}
         self.issued = self.published = self.failed = 0
-        lives = [one.seconds for one in issuance.certificates]
+        lives = [certificate.seconds for certificate in issuance.certificates]
         lives += [] if issuance.accounts is None else [issuance.accounts.seconds]
         self._interval = min(CHECK_SECONDS, *(CHECK_SHARE * seconds for seconds in lives))
         self._servers_at = 0.0  # when servers' certificates were looked at last, by `wall`
@@ -132,7 +132,7 @@ class CertificateKeeper:
         secret = certificate.secret
         now = self._wall()
         addresses = self._objects.addresses(certificate.service) if certificate.service else ()
-        names = (*certificate.names, *(one for one in addresses if one not in certificate.names))
+        names = (*certificate.names, *(address for address in addresses if address not in certificate.names))
         present = self._objects.certificate(secret)
         life = self._described(secret, present, authority) if present is not None else None
         reason = reason_to_replace(life, names, now)
@@ -174,7 +174,7 @@ class CertificateKeeper:
         prefix = "robotkube_certificates_"
         expiry = "Time at which a certificate expires, in seconds since 1970; 0 while it was not looked at."
         issued, published = "Certificates that were made.", "Namespaces that were told whom to trust."
-        ends = {one.secret: 0.0 for one in self._issuance.certificates}
+        ends = {certificate.secret: 0.0 for certificate in self._issuance.certificates}
         ends |= {secret: life.end for secret, life in self.lives.items()}
         accounts = self._accounts
         more: tuple[Series, ...] = ()

@@ -29,7 +29,7 @@ def pod_document(item: Object) -> dict[str, Any]:
         "node": pod.node,
         "phase": str(status.get("phase", "")),
         "ready": pod.ready_since is not None,
-        "restarts": sum(one.restarts for one in pod.containers),
+        "restarts": sum(container.restarts for container in pod.containers),
         "trouble": "; ".join(filter(None, map(_trouble, pod.containers))),
         "started_ms": text_ms(status.get("startTime")),
         "ready_ms": ns_ms(pod.ready_since),

@@ -32,13 +32,15 @@ class Writers:
 
 def writable(person: Person, writers: Iterable[Writers]) -> tuple[str, ...]:
     """The namespaces in which somebody may ask for tasks."""
-    return tuple(sorted({one for listed in writers if listed.group in person.groups for one in listed.namespaces}))
+    return tuple(
+        sorted({namespace for listed in writers if listed.group in person.groups for namespace in listed.namespaces})
+    )
 
 
 def group_for(person: Person, writers: Iterable[Writers], namespace: str) -> str:
     """The group, as the API server has it, by which somebody asks in a namespace: one is enough, and all that is
     needed. Empty when he may not."""
-    groups = {one.group for one in writers if one.group in person.groups and namespace in one.namespaces}
+    groups = {writer.group for writer in writers if writer.group in person.groups and namespace in writer.namespaces}
     return f"{GROUP_PREFIX}{min(groups)}" if groups else ""
 
 

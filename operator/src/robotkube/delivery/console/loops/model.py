@@ -140,8 +140,8 @@ class ReadModel:
                 self._catalogues[manager] = page
             releases = tuple(table.documents(kinds.RELEASES).values())
             documents: Documents = {}
-            for one in self._catalogues.values():
-                documents |= catalogue_documents(one, releases)
+            for catalogue in self._catalogues.values():
+                documents |= catalogue_documents(catalogue, releases)
             _replace(table, kinds.CATALOGUE, documents, lambda *_: True)
 
     def put_events(self, page: Document, detector: str) -> None:

@@ -91,11 +91,11 @@ class DetectorReader:
     def step(self) -> bool:
         """Read all of them; False when one did not answer."""
         detectors = self._detectors()
-        problems = [problem for one in detectors if (problem := self._read(one))]
-        for gone in set(self._settings_at) - {one.release for one in detectors}:
+        problems = [problem for detector in detectors if (problem := self._read(detector))]
+        for gone in set(self._settings_at) - {detector.release for detector in detectors}:
             del self._settings_at[gone]
             self._model.replace(kinds.RULES, {}, f"{gone}/")
-        self._model.leave_recordings({one.pod for one in detectors})
+        self._model.leave_recordings({detector.pod for detector in detectors})
         carries = (kinds.EVENTS, kinds.RULES, kinds.RECORDINGS)
         self._model.put_source(DETECTORS, "; ".join(problems[:3]), DETECTOR_ADVICE, carries)
         return not problems

@@ -97,12 +97,12 @@ class ApplicationCompositions:
     def composed(self, samples: Sequence[Parameters], late: Callable[[], bool]) -> Sequence[Tried] | None:
         """The compositions of the samples in every way in which the application may be asked for, and, for the first of
         them, with older versions of its charts; None when it got `late`."""
-        by_way = {way: [self._composed(way, one) for one in samples if not late()] for way in ways(self._subject)}
+        by_way = {way: [self._composed(way, sample) for sample in samples if not late()] for way in ways(self._subject)}
         if late():
             return None
         way = min(by_way, key=lambda one: (len(_wrong(by_way[one])), -len(_met(by_way[one]))))
         self._report_refusals(by_way[way])
-        tried = [one for compositions in by_way.values() for one in compositions]
+        tried = [composition for compositions in by_way.values() for composition in compositions]
         return [*tried, *self._with_older_versions(way, samples[:OLDER_SAMPLES], tried)]
 
     def _composed(self, way: str, parameters: Parameters, withheld: Mapping[Pin, str] | None = None) -> Tried:
@@ -127,7 +127,7 @@ class ApplicationCompositions:
         """Compositions with versions that would be selected if newer ones were withdrawn, or that releases keep."""
         older = []
         for chart, withheld in self._older_versions(releases(tried)):
-            composed = [self._composed(way, one, withheld) for one in samples]
+            composed = [self._composed(way, sample, withheld) for sample in samples]
             served = [one for one in composed if one.refused is None or one.refused.reason not in NOT_SELECTED]
             for one in _wrong(served):
                 assert one.refused is not None

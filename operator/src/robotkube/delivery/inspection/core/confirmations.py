@@ -24,8 +24,8 @@ class Confirmations:
         """Of what a look at time `now` (seconds) saw the strangers that count, and whether others wait for the next
         look."""
         strangers = tuple(seen)
-        self._first = {one.key: self._first.get(one.key, now) for one in strangers}
-        confirmed = tuple(one for one in strangers if now - self._first[one.key] >= _seconds(one))
+        self._first = {stranger.key: self._first.get(stranger.key, now) for stranger in strangers}
+        confirmed = tuple(stranger for stranger in strangers if now - self._first[stranger.key] >= _seconds(stranger))
         return confirmed, len(confirmed) < len(strangers)
 
 

@@ -88,7 +88,7 @@ def _without_additions(spec: Object, template: Object, limited: bool) -> dict[st
     for kind in KINDS:
         known = {one["name"]: one for one in template.get(kind) or ()}
         entries = live.pop(kind, None) or ()
-        live |= {kind: [_container(one, known.get(one["name"], {}), token, limited) for one in entries]}
+        live |= {kind: [_container(entry, known.get(entry["name"], {}), token, limited) for entry in entries]}
     return live
 
 
@@ -123,7 +123,7 @@ def _as_pods_have_it(template: Object) -> Object:
     limits alone requests as much."""
     rendered: dict[str, Any] = {**template, "volumes": template.get("volumes") or []}
     for kind in KINDS:
-        rendered[kind] = [_requesting(_without_policy(one)) for one in _entries(template, kind)]
+        rendered[kind] = [_requesting(_without_policy(entry)) for entry in _entries(template, kind)]
     return rendered
 
 

@@ -104,7 +104,7 @@ def _conditions(look: Look, before: Status, now: str) -> list[dict[str, str]]:
 
 def named(strangers: Sequence[Stranger]) -> str:
     """The first strangers by name, and how many more there are."""
-    first = ", ".join(f"{one} ({one.reason})" for one in sorted(strangers)[:NAMED_MAX])
+    first = ", ".join(f"{stranger} ({stranger.reason})" for stranger in sorted(strangers)[:NAMED_MAX])
     more = len(strangers) - NAMED_MAX
     return f"{first} and {more} more" if more > 0 else first
 

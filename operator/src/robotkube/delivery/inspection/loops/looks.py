@@ -88,7 +88,7 @@ class ReleaseLooks:
         except (UnavailableError, InputError) as error:
             return Look(RELEASES, problem=str(error))
         others = (stranger for of_namespace in self._others.values() for stranger in of_namespace)
-        unknown = [one.unknown for shapes in permitted.releases.values() for one in shapes if one.unknown]
+        unknown = [shape.unknown for shapes in permitted.releases.values() for shape in shapes if shape.unknown]
         return Look(RELEASES, tuple(sorted({*strangers, *others})), partly="; ".join(unknown))
 
     def again(self) -> None:

@@ -60,7 +60,7 @@ class ReleaseShapes:
         ended = [path for path, at in self._removed.items() if now - at > REMOVED_SECONDS]
         for path in ended:
             del self._removed[path]
-        unknown = any(one.unknown for shapes in self._shapes.values() for one in shapes)
+        unknown = any(shape.unknown for shapes in self._shapes.values() for shape in shapes)
         if moved or ended or unknown or (self._due is not None and now > self._due):
             self._shapes = self._shaped()
             ends = (at + SETTINGS_SECONDS for known in self._earlier.values() for at, _ in known)

@@ -144,7 +144,7 @@ class Reporter:
         now = self._now_ns()
         places = {look.name: (look.looks_at, look.node) for look in looks}
         strangers: Counter[tuple[str, ...]] = Counter(
-            (*places[look.name], one.reason) for look in looks for one in look.strangers
+            (*places[look.name], stranger.reason) for look in looks for stranger in look.strangers
         )
         ages: dict[tuple[str, ...], float] = {places[name]: (now - at) / 1e9 for name, at in looked.items()}
         unseen: dict[tuple[str, ...], float] = {
@@ -171,8 +171,8 @@ class Reporter:
         """Of strangers that came or went since the status before."""
         if look.problem:
             return
-        earlier = {one.key: one for one in strangers_of(before)}
-        later = {one.key: one for one in strangers_of(status)}
+        earlier = {stranger.key: stranger for stranger in strangers_of(before)}
+        later = {stranger.key: stranger for stranger in strangers_of(status)}
         for key in sorted(later.keys() - earlier.keys()):
             log.warning(
                 "stranger appeared inspection=%s kind=%s namespace=%s name=%s container=%s message=%r reason=%s",

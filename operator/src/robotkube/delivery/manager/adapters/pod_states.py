@@ -86,7 +86,7 @@ def placed(pod: PodState | None) -> Any:
     is Argo CD's to report."""
     if pod is None:
         return None
-    troubled = (one for one in pod.containers if one.ended_why or one.waiting)
+    troubled = (container for container in pod.containers if container.ended_why or container.waiting)
     failing = tuple(
         ContainerState(
             one.name, restarts=one.restarts, ended_why=one.ended_why, last_words=one.last_words, waiting=one.waiting

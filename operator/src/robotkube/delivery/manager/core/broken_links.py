@@ -28,7 +28,7 @@ def broken_links(reports: Iterable[LinkReport], pods: Callable[[str], Sequence[P
 
 
 def _says(pod: PodState, report: LinkReport) -> bool:
-    begun = [one.started_ns for one in pod.containers if one.started_ns is not None]
+    begun = [container.started_ns for container in pod.containers if container.started_ns is not None]
     return pod.name == report.pod and not pod.deleting and report.started_ns >= max(begun, default=0)
 
 

@@ -11,7 +11,9 @@ def pod_troubles(pods: Iterable[PodState]) -> list[str]:
     """A sentence for each container that is not ready for a cause that its kubelet knows: it cannot begin, or it ended
     and is started again and again."""
     standing = (pod for pod in pods if not pod.deleting)
-    return [f"pod {pod.name}: {words}" for pod in standing for one in pod.containers if (words := _words(one))]
+    return [
+        f"pod {pod.name}: {words}" for pod in standing for container in pod.containers if (words := _words(container))
+    ]
 
 
 def _words(container: ContainerState) -> str:

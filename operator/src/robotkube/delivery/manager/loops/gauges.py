@@ -41,7 +41,7 @@ class GaugeReader:
             broken_files=self.broken(),
             unknown_agents=len(unknown),
             holds=self.holds(),
-            updates=Counter(one.state for one in self.updates().values()),
+            updates=Counter(update.state for update in self.updates().values()),
             leading=self.leading(),
         )
 

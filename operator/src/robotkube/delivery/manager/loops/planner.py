@@ -427,8 +427,8 @@ class Planner:
         def composed(memo: Memo, demands: Sequence[Demand]) -> Composition:
             if not refused:
                 return compose(demands, inputs, memo)
-            composition = compose([one for one in demands if one.key not in refused], inputs, memo)
-            left_out = {one.key: refused[one.key] for one in demands if one.key in refused}
+            composition = compose([demand for demand in demands if demand.key not in refused], inputs, memo)
+            left_out = {demand.key: refused[demand.key] for demand in demands if demand.key in refused}
             return replace(composition, outcomes={**composition.outcomes, **left_out})
 
         return self._memo.used(lambda memo: resolve(wanted, partial(composed, memo), history, self._now_ns))

@@ -129,14 +129,16 @@ def agents_ready(settings: Mapping[str, Any], nodes: Sequence[Object]) -> CheckV
 def is_ready(node: Object) -> bool:
     """Return whether its kubelet says that it is ready."""
     conditions = items(mapping(node.get("status")).get("conditions"))
-    return any(one.get("type") == "Ready" and one.get("status") == "True" for one in conditions)
+    return any(condition.get("type") == "Ready" and condition.get("status") == "True" for condition in conditions)
 
 
 def _not_ready(node: Object) -> Iterator[Problem]:
     name = name_of(node)
     if not is_ready(node):
         conditions = items(mapping(node.get("status")).get("conditions"))
-        words = next((str(one.get("message", "")) for one in conditions if one.get("type") == "Ready"), "")
+        words = next(
+            (str(condition.get("message", "")) for condition in conditions if condition.get("type") == "Ready"), ""
+        )
         why = "nothing starts there, and the manager takes it for lost after managers[].nodeLostSeconds"
         yield Problem(
             f"it is not Ready: {words or 'no word of its kubelet'}",

@@ -70,7 +70,7 @@ class ServerSpeech:
 
 
 def argocd(present: ArgoCd, settings: Mapping[str, Any]) -> CheckVerdict:
-    """Judge Argo CD: its definitions, the parts that carry releases out, and whether managers reach its server."""
+    """The check of Argo CD: it has its definitions, the parts that carry releases out run, and managers reach its server."""
     installed, reached = argocd_installed(present), _reached(present, settings)
     unseen = "; ".join(filter(None, (installed.unseen, reached.unseen)))
     said = ", ".join(filter(None, (installed.says, reached.says)))
@@ -78,9 +78,9 @@ def argocd(present: ArgoCd, settings: Mapping[str, Any]) -> CheckVerdict:
 
 
 def argocd_installed(present: ArgoCd) -> CheckVerdict:
-    """Judge its definitions and the parts that carry releases out."""
+    """The part of it about what is installed: the definitions, and the parts that carry releases out, running."""
     problems = [_undefined(name) for name in DEFINITIONS if name not in present.definitions]
-    parts = {str(labels_of(one).get(COMPONENT, "")): one for one in present.workloads}
+    parts = {str(labels_of(workload).get(COMPONENT, "")): workload for workload in present.workloads}
     for part in PARTS:
         problems += _part(part, parts.get(part), present.namespace)
     own = [parts[part] for part in PARTS if part in parts]

@@ -63,8 +63,8 @@ def named(names: Sequence[str]) -> str:
 def gathered(problems: Sequence[Problem]) -> tuple[Problem, ...]:
     """Problems that differ in their places alone as one, with all of these."""
     places: dict[tuple[str, str, str], list[str]] = {}
-    for one in problems:
-        places.setdefault((one.what, one.why, one.fix), []).append(one.where)
+    for problem in problems:
+        places.setdefault((problem.what, problem.why, problem.fix), []).append(problem.where)
     return tuple(
         Problem(what, named(list(dict.fromkeys(where))), why, fix) for (what, why, fix), where in places.items()
     )

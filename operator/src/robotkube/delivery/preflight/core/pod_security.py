@@ -30,7 +30,7 @@ def pod_security(rendering: RenderedChart, namespaces: Labels) -> CheckVerdict:
         elif level != PRIVILEGED and list(broken(workload.pod, RESTRICTED)):
             unknown.add(workload.namespace)
     places = sorted({workload.namespace for workload in rendering.workloads})
-    levels = [f"{one}: {level_of(one, rendering, namespaces) or 'no level'}" for one in places]
+    levels = [f"{place}: {level_of(place, rendering, namespaces) or 'no level'}" for place in places]
     unseen = f"the API server's own level counts in {named(sorted(unknown))}, and cannot be read" if unknown else ""
     return CheckVerdict(named(levels), problems, unseen)
 

@@ -89,8 +89,11 @@ def _demands(rendering: RenderedChart, standing: PresentObjects) -> Iterator[Pro
 
 def _former_gate(rendering: RenderedChart, standing: PresentObjects) -> Iterator[Problem]:
     own = rendering.namespace
-    moved = any(one.name == GATE and one.namespace != own for one in rendering.workloads)
-    runs = any(name_of(one) == GATE and mapping(one.get("spec")).get("replicas", 1) for one in standing.deployments)
+    moved = any(workload.name == GATE and workload.namespace != own for workload in rendering.workloads)
+    runs = any(
+        name_of(deployment) == GATE and mapping(deployment.get("spec")).get("replicas", 1)
+        for deployment in standing.deployments
+    )
     if moved and runs:
         why = "this chart's gate stands in a namespace of its own, and for the time of the upgrade there would be two"
         fix = f"kubectl --namespace {own} scale deployment gate --replicas=0 (UPGRADING.md, From single versions)"
@@ -99,7 +102,7 @@ def _former_gate(rendering: RenderedChart, standing: PresentObjects) -> Iterator
 
 def _in_clear_text(rendering: RenderedChart, standing: PresentObjects) -> Iterator[Problem]:
     for server in SERVERS:
-        now = [_ports(one) for one in standing.services if name_of(one) == server.name]
+        now = [_ports(service) for service in standing.services if name_of(service) == server.name]
         then = [_ports(one) for one in rendering.of_kind("Service") if name_of(one) == server.name]
         if now and then and server.tls not in now[0] and server.tls in then[0] and server.plain not in then[0]:
             why = f"{server.clients} speak clear text, and would lose the {server.name} with the upgrade"

@@ -112,7 +112,7 @@ def _workload(stranger: Stranger, policy: RemovalPolicy) -> Target:
 def merged(targets: list[WorkloadTarget]) -> list[WorkloadTarget]:
     """The targets, those of one object at one generation as one."""
     together: dict[tuple[str, str, str, int], tuple[str, ...]] = {}
-    for one in targets:
-        key = (one.namespace, one.name, one.uid, one.generation)
-        together[key] = tuple(dict.fromkeys((*together.get(key, ()), *one.excess)))
+    for target in targets:
+        key = (target.namespace, target.name, target.uid, target.generation)
+        together[key] = tuple(dict.fromkeys((*together.get(key, ()), *target.excess)))
     return [WorkloadTarget(*key, excess) for key, excess in sorted(together.items())]

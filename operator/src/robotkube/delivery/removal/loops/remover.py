@@ -76,13 +76,15 @@ class Remover:
         documents = self._cluster.inspections()
         inspections = [read_inspection(document, REMOVED) for document in documents]
         now = self._now_ns()
-        believed = [one for one in inspections if one.is_believed(now)]
+        believed = [inspection for inspection in inspections if inspection.is_believed(now)]
         answers = self._act(believed)
         for one in inspections:
             self._say(one, self._outcomes(one, answers) if one in believed else [], one in believed)
         with self._lock:
             self._turned = self._clock()
-            self._conditions = {one.name: self._conditions.get(one.name, "") for one in inspections}
+            self._conditions = {
+                inspection.name: self._conditions.get(inspection.name, "") for inspection in inspections
+            }
 
     def reasons_not_ready(self) -> list[str]:
         """Empty while it reads the Inspections."""
@@ -122,9 +124,9 @@ class Remover:
     def _act(self, inspections: Sequence[NamedStrangers]) -> Answers:
         """Take away what these name: workloads first, each target once."""
         places: dict[Target, NamedIn] = {}
-        for one in inspections:
-            for target in self._targets(one):
-                places.setdefault(target, NamedIn(one.name, one.uid))
+        for inspection in inspections:
+            for target in self._targets(inspection):
+                places.setdefault(target, NamedIn(inspection.name, inspection.uid))
         parts = [target for target in places if isinstance(target, WorkloadTarget)]
         whole = merged(parts)
         self._removing.begin(whole)

@@ -59,7 +59,7 @@ class Removing:
         """A turn begins, in which these workloads are not what their charts render."""
         self._now = self._clock()
         self._returns.forget(self._now)
-        self._changed = {_maker(one) for one in workloads}
+        self._changed = {_maker(workload) for workload in workloads}
 
     def restore(self, target: WorkloadTarget, place: NamedIn) -> Outcome:
         """Take out of a Deployment what its chart does not render."""

@@ -60,7 +60,7 @@ def granted(release: Release, accounts: Accounts) -> Granted:
 
 def borders_of(accounts: Accounts, consents: LinkConsents) -> Borders:
     """The borders between the scopes of the managers."""
-    return Borders(scopes_of((one.name, one.agents) for one in accounts.managers), consents)
+    return Borders(scopes_of((manager.name, manager.agents) for manager in accounts.managers), consents)
 
 
 def topics_of(grant: Grant, borders: Borders) -> list[str]:

@@ -51,7 +51,7 @@ def node_agents(labels: Mapping[str, str]) -> tuple[NodeAgent, ...]:
     of_host = (key.removeprefix(CAPABILITY) for key, value in labels.items() if _is_capability(key, value))
     host = NodeAgent(labels.get(AGENT, ""), labels.get(ROLE, ""), frozenset(of_host))
     guests = [_guest(key.removeprefix(GUEST), labels) for key in labels if key.startswith(GUEST)]
-    return (host, *sorted((one for one in guests if one.guest), key=lambda one: (one.guest, one.name)))
+    return (host, *sorted((guest for guest in guests if guest.guest), key=lambda one: (one.guest, one.name)))
 
 
 def _is_capability(key: str, value: str) -> bool:
@@ -69,7 +69,7 @@ def _guest(name: str, labels: Mapping[str, str]) -> NodeAgent:
 
 def shared_nodes(nodes: Iterable[tuple[str, Mapping[str, str]]]) -> dict[str, Sequence[str]]:
     """The names of the agents of each Node (name and labels) that is several agents'."""
-    found = {name: [one.name for one in node_agents(labels) if one.name] for name, labels in nodes}
+    found = {name: [agent.name for agent in node_agents(labels) if agent.name] for name, labels in nodes}
     return {name: agents for name, agents in sorted(found.items()) if len(agents) > 1}
 
 

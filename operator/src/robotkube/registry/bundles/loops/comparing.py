@@ -23,6 +23,8 @@ def _of_one(registry: PushedTo, place: RegistryPlace, item: BundleItem) -> list[
     tagged = registry.manifest_digest(repository, item.tag)
     if tagged != item.digest:
         problems.append(f"{where}:{item.tag}: is {tagged or 'not there'}, in the bundle {item.digest}")
-    attached = {one.digest for one in registry.attachments(repository, item.digest)} if item.attached else set()
+    attached = (
+        {attachment.digest for attachment in registry.attachments(repository, item.digest)} if item.attached else set()
+    )
     missing = [one for one in item.attached if one.digest not in attached]
     return [*problems, *(f"{where}@{item.digest}: {one.title} ({one.digest}) is not attached" for one in missing)]

@@ -104,7 +104,7 @@ def _topics(
     for number, topics in expected.items():
         yield from _types(version, topics, f"with the values of spec.suites.sets[{number}]")
     if filled and len(expected) == len(filled):
-        given = [one for topics in expected.values() for one in topics]
+        given = [topic for topics in expected.values() for topic in topics]
         yield from _rated_topics(version, given)
         for check in declaration_checks(version.interfaces, expected):
             if not check.passed:

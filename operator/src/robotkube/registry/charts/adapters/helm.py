@@ -45,7 +45,9 @@ def find_helm() -> str:
     """The program helm: the one that is named, that of the platform's image, or one on the PATH; empty without."""
     named = os.environ.get(PROGRAM_VARIABLE)
     candidates = [named] if named else [PROGRAM, shutil.which("helm")]
-    return next((str(Path(one).resolve()) for one in candidates if one and Path(one).is_file()), "")
+    return next(
+        (str(Path(candidate).resolve()) for candidate in candidates if candidate and Path(candidate).is_file()), ""
+    )
 
 
 class HelmProgram:

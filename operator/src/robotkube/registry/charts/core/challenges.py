@@ -48,7 +48,7 @@ def _of_one(header: str) -> list[Challenge]:
 def chosen(challenges: Sequence[Challenge], has_account: bool) -> Challenge | None:
     """The challenge to answer: the account itself where that is offered, else a token; None when it is neither."""
     wanted = (BASIC, BEARER) if has_account else (BEARER,)
-    return next((one for scheme in wanted for one in challenges if one.scheme == scheme), None)
+    return next((challenge for scheme in wanted for challenge in challenges if challenge.scheme == scheme), None)
 
 
 def scope_of(method: str, path: str) -> str:

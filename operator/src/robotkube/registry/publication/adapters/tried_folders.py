@@ -66,7 +66,7 @@ def stand_in(image: str) -> str:
 def stand_ins(chart: ChartSource) -> list[str]:
     """The names of the images for which a chart was packed with a stand-in."""
     prefix = f"{STAND_IN_HOST}/"
-    return [one.removeprefix(prefix).partition("@")[0] for one in chart.images if one.startswith(prefix)]
+    return [image.removeprefix(prefix).partition("@")[0] for image in chart.images if image.startswith(prefix)]
 
 
 def find_tried(path: Path, charts: Path | None = None, registry: Path | None = None) -> TriedFolder:

@@ -303,7 +303,7 @@ def unanswered_probes(renderings: Sequence[Rendering], entry: Mapping[str, Any])
     named = mapping(mapping(entry.get("spec")).get("success")).get("probesOf") or ()
     for rendering in renderings:
         containers = [one for pod in rendering.pods for one in items(pod.spec.get("containers"))]
-        probed = [str(one.get("name")) for one in containers if one.get("readinessProbe")]
+        probed = [str(container.get("name")) for container in containers if container.get("readinessProbe")]
         for name in named:
             if name not in probed:
                 has = ", ".join(probed) or "none"

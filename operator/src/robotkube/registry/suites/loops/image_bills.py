@@ -37,7 +37,7 @@ class ImageBills:
 
     def _attached(self, reference: ImageReference, digest: str) -> list[Attachment]:
         attachments = self._oci_registry.attachments(reference.repository, digest)
-        return [one for one in attachments if one.artifact_type == image_checks.BILL_TYPE]
+        return [attachment for attachment in attachments if attachment.artifact_type == image_checks.BILL_TYPE]
 
     def _image_problems(
         self,

@@ -50,7 +50,8 @@ class LinkReport:
 def report_document(pod: str, started_ns: int, faults: Iterable[LinkFault]) -> Mapping[str, Any]:
     """The report as JSON has it; the first LINKS_MAX faults."""
     listed = [
-        {"direction": one.direction, "topic": one.topic, "reason": one.reason[:REASON_CHARACTERS_MAX]} for one in faults
+        {"direction": fault.direction, "topic": fault.topic, "reason": fault.reason[:REASON_CHARACTERS_MAX]}
+        for fault in faults
     ]
     return {"pod": pod, "started": str(started_ns), "notCarried": listed[:LINKS_MAX]}
 

@@ -68,7 +68,7 @@ class InputCounter:
             "malformed": self.malformed + unreadable,
             "seconds": [list(pair) for pair in list(self._seconds)],
             "ages_ms": [[age, count] for age, count in enumerate(self._ages) if count],
-            "age_quantiles_ms": [list(one) for one in list(self._quantiles)],
+            "age_quantiles_ms": [list(quantile) for quantile in list(self._quantiles)],
         }
 
 

@@ -239,7 +239,9 @@ class SealExamination:
     def _passed_over(self, life: int) -> bool:
         """Return whether a later writer that sealed went on without this one, of which nothing had come to the
         database."""
-        return any(one.sealed and one.life > life and life not in one.before for one in self.manifests)
+        return any(
+            manifest.sealed and manifest.life > life and life not in manifest.before for manifest in self.manifests
+        )
 
     def _expected(self, life: int, notes: WriterNotes) -> bool:
         """Return whether the database should have a manifest of this writer: it had parts of it, or the writer sealed

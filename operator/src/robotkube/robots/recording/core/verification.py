@@ -127,7 +127,7 @@ def examine(
 def without_any(listed: Iterable[str], topics: Collection[str]) -> list[str]:
     """The `listed` names and patterns that none of the topics fits."""
     patterns = [TopicPattern(text) for text in listed]
-    return [one.text for one in patterns if all(one.agent(topic) is None for topic in topics)]
+    return [pattern.text for pattern in patterns if all(pattern.agent(topic) is None for topic in topics)]
 
 
 def _examine(

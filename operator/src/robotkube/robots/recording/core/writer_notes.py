@@ -32,7 +32,7 @@ class WriterNotes:
     def sealed(self) -> tuple[int, str]:
         """The number of parts that the seal is of, and the head behind them; zero parts when there is no seal."""
         statements = [read_statement(text) or {} for text in self.seals]
-        ends = [(one.get("parts"), str(one.get("head"))) for one in statements]
+        ends = [(statement.get("parts"), str(statement.get("head"))) for statement in statements]
         return max(((parts, head) for parts, head in ends if isinstance(parts, int)), default=(0, ""))
 
 

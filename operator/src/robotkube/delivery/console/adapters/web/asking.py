@@ -108,10 +108,10 @@ class TaskRequests:
     def _manager(self, namespace: str, name: str) -> ManagerPages:
         """The manager of a name, or of a namespace where none is given."""
         managers = self._asking.managers
-        fits = [one for one in managers if (one.name == name if name else one.answers(namespace))]
+        fits = [manager for manager in managers if (manager.name == name if name else manager.answers(namespace))]
         if fits:
             return fits[0]
-        names = ", ".join(one.name for one in managers) or "none"
+        names = ", ".join(manager.name for manager in managers) or "none"
         if name:
             raise ProblemError(422, "No such manager", f"Name one of {names} in `manager`, or none.")
         raise ProblemError(422, "Nobody answers there", f"No manager answers tasks in {namespace}; there are: {names}.")

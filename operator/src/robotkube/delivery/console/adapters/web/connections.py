@@ -97,7 +97,7 @@ class BoundedConnection(H11Protocol):
         return not any(address in network for network in self.proxies)
 
     def _connections_of_source(self) -> int:
-        own = (one for one in self.connections if isinstance(one, BoundedConnection))
+        own = (connection for connection in self.connections if isinstance(connection, BoundedConnection))
         return sum(one._source() == self._source() for one in own)
 
     def _log_refusals(self) -> None:

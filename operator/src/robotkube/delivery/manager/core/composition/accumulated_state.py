@@ -160,8 +160,9 @@ class AccumulatedState:
 def whose(contributions: Sequence[Contribution]) -> str:
     """The demands in words, the first few of them: `for task ops/t (application a)`."""
     demands = [
-        f"{'task ' if one.demand.task else ''}{one.demand.key} (application {one.expansion.application})"
-        for one in contributions
+        f"{'task ' if contribution.demand.task else ''}{contribution.demand.key} "
+        f"(application {contribution.expansion.application})"
+        for contribution in contributions
     ]
     return f"for {shown(demands)}"
 
@@ -195,7 +196,9 @@ def _runs(release: Release) -> str:
 def caused(release: Release, contributions: Sequence[Contribution], present: Release | None) -> Release:
     """The release with the causes of all who contribute to it; as main has it (`present`), its plan included, when
     nothing else differs."""
-    written = replace(release, causes=tuple(sorted({one.cause for one in contributions if one.cause})))
+    written = replace(
+        release, causes=tuple(sorted({contribution.cause for contribution in contributions if contribution.cause}))
+    )
     return present if present is not None and present.same_but_plan(written) else written
 
 

@@ -35,7 +35,7 @@ def bridge_release(end: End, contributions: Sequence[Contribution], topics: Merg
     except (RefusalError, DocumentError) as error:
         reason = error.reason if isinstance(error, RefusalError) else "CompositionFailed"
         message = error.message if isinstance(error, RefusalError) else str(error)
-        guilty = [one for one in contributions if _fails_alone(end, one, index)]
+        guilty = [contribution for contribution in contributions if _fails_alone(end, contribution, index)]
         keys = [one.demand.key for one in guilty or contributions[-1:]]
         raise ImpossibleBridgeError(keys, Refused(reason, message)) from error
 

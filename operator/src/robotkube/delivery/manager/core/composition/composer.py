@@ -78,5 +78,9 @@ def _composition(state: AccumulatedState, index: Index, memo: Memo) -> Compositi
 
 def _initial(state: AccumulatedState, bridges: Mapping[End, str], releases: Mapping[str, Release]) -> frozenset[str]:
     """The paths that the initial configuration uses."""
-    contributions = [one for one in state.outcomes.values() if isinstance(one, Contribution) and one.cause is None]
-    return frozenset(releases[key].path for one in contributions for key in release_keys(one.expansion, bridges))
+    contributions = [
+        outcome for outcome in state.outcomes.values() if isinstance(outcome, Contribution) and outcome.cause is None
+    ]
+    return frozenset(
+        releases[key].path for contribution in contributions for key in release_keys(contribution.expansion, bridges)
+    )

@@ -60,7 +60,7 @@ def passages(
     """Every topic of a link from every source to every target that is on another place: on one, ROS itself carries it.
     RefusalError when the broker would refuse one (LinkNotPermitted), no bridge knows its type (LinkTypeUnknown), or a
     chart at an end opens it otherwise (LinkMismatch). `path` is where the link stands in its application."""
-    every = [one.opening for placings in placed.values() for one in placings if one.opening]
+    every = [placing.opening for placings in placed.values() for placing in placings if placing.opening]
     for scope, source, target in _legs(link, names, placed, render):
         sources = _ends(link.source, source, scope, agents, render)
         targets = _ends(link.target, target, scope, agents, render)

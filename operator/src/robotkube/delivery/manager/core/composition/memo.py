@@ -372,9 +372,9 @@ def _placements(expansion: Expansion, index: Index, assignments: Assignments) ->
     mark = assignments.mark()
     placements = []
     try:
-        for one in expansion.groups:
-            placement = assignments.assign(expansion.demand, one.group, one.names, index)
-            if placement.agent != one.placement.agent:
+        for group in expansion.groups:
+            placement = assignments.assign(expansion.demand, group.group, group.names, index)
+            if placement.agent != group.placement.agent:
                 assignments.undo(mark)
                 return None
             placements.append(placement)

@@ -124,7 +124,7 @@ class Selector:
             for version in self.catalogue.candidates(service.chart)
             for guarantee in version.guarantees
         }
-        silent = [str(one) for one in demand.requirements if one.name not in stated]
+        silent = [str(requirement) for requirement in demand.requirements if requirement.name not in stated]
         if silent:
             has = ", ".join(sorted(stated)[:NAMED_MAX]) or "none"
             raise RefusalError(

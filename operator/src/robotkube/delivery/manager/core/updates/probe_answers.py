@@ -53,12 +53,16 @@ def losses_between(before: PodState | None, now: PodState | None, now_ns: int) -
     ended between them shows in the time since which the pod is ready; with several probes it is nobody's."""
     if before is None or now is None or before.uid != now.uid or now.deleting:
         return
-    known = {one.name: one for one in before.containers}
-    lost = [one for one in now.containers if one.probed and not one.ready and one.name in known]
+    known = {container.name: container for container in before.containers}
+    lost = [
+        container
+        for container in now.containers
+        if container.probed and not container.ready and container.name in known
+    ]
     for one in lost:
         if known[one.name].ready:
             yield ProbeLoss(now.release, now.uid, one.name, now.unready_since or now_ns, _loss(one))
-    probed = [one for one in now.containers if one.probed]
+    probed = [container for container in now.containers if container.probed]
     again = now.ready_since is not None and before.ready_since is not None and now.ready_since > before.ready_since
     if again and len(probed) == 1 and now.ready_since is not None:
         yield ProbeLoss(now.release, now.uid, probed[0].name, now.ready_since)
@@ -84,7 +88,7 @@ class ProbeLosses:
 def probe_answers(pods: Iterable[PodState], losses: Iterable[ProbeLoss]) -> ProbeAnswers:
     """The answers of one release's probes. Pods that are being deleted are those that it had before."""
     there = [pod for pod in pods if not pod.deleting]
-    probed = [(pod, one) for pod in there for one in pod.containers if one.probed]
+    probed = [(pod, container) for pod in there for container in pod.containers if container.probed]
     faults = [_restart(one, one.ended_ns) for _, one in probed if one.restarts and one.ended_ns is not None]
     named = {(pod.uid, one.name) for pod, one in probed}
     faults += [

@@ -134,7 +134,7 @@ def _watchers(release: Release, agents: Mapping[str, Agent]) -> Iterable[Watcher
     if not isinstance(detector, Mapping):
         return
     reactions = [one for one in detector.get("reactions") or () if isinstance(one, Mapping)]
-    asking = {one.get("rule") for one in reactions if one.get("kind") == "operator"}
+    asking = {reaction.get("rule") for reaction in reactions if reaction.get("kind") == "operator"}
     for rule in detector.get("rules") or ():
         if isinstance(rule, Mapping) and rule.get("name") in asking:
             named = rule.get("agents")

@@ -137,7 +137,9 @@ class _Trying:
     def _measured(self, healthy_ns: int, answers: Sequence[Answer], now_ns: int) -> tuple[str, str]:
         """The verdict about a release that is healthy since then and has no fault. Of what nobody measures, health
         alone counts, and that is said."""
-        holds_ns = max([healthy_ns + self.terms.rule.success_seconds * SECOND_NS, *(one.ends_ns for one in answers)])
+        holds_ns = max(
+            [healthy_ns + self.terms.rule.success_seconds * SECOND_NS, *(answer.ends_ns for answer in answers)]
+        )
         if now_ns < holds_ns:
             return "pending", self._needs(answers)
         return "good", _unseen(answers)

@@ -26,7 +26,7 @@ def pull(probed: Probed, rendering: RenderedChart) -> CheckVerdict:
     """Every Node has the platform's image, or pulled it now. What needs a Secret of the platform's namespace (values
     imagePullSecrets) is not known: the probe reads no Secret."""
     problems, unknown = [], []
-    secrets = any(mapping(one.template.get("spec")).get("imagePullSecrets") for one in rendering.workloads)
+    secrets = any(mapping(workload.template.get("spec")).get("imagePullSecrets") for workload in rendering.workloads)
     for name, node in probed.nodes.items():
         if node.pulled is False and secrets:
             unknown.append(f"Node {name} asks for imagePullSecrets, which the probe has not ({node.words})")
@@ -127,7 +127,7 @@ def broker_reach(probed: Probed, settings: Mapping[str, Any], nodes: Sequence[Ob
     """The Node of every agent reaches the broker's port; accounts and certificates are not tried."""
     host, port = probed.target.broker
     owned = of_agents(nodes)
-    named = (name_of(node) for one in agents(settings) for node in owned.get(str(one.get("name")), ()))
+    named = (name_of(node) for agent in agents(settings) for node in owned.get(str(agent.get("name")), ()))
     own = list(dict.fromkeys(named))
     if not host and not installed:
         return CheckVerdict("", (), "absent: the broker is the platform's own, which the chart makes")

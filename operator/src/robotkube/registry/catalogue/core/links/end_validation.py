@@ -33,7 +33,7 @@ def end_problems(
     if not any("service" in end for _, link in bridged for end in (link.source, link.target)):
         return
     try:
-        every = [one for service in application.services for one in _openings(service, names, folders, tools)]
+        every = [opening for service in application.services for opening in _openings(service, names, folders, tools)]
         every = together(every, application.links)
         for index, link in bridged:
             yield from _link(link, f"spec.links[{index}]", application, names, every, tools)

@@ -49,11 +49,11 @@ class Opening:
 
     def has(self, name: str, direction: str) -> Iterator[ExpectedTopic]:
         """Its interfaces of a direction that have the ROS topic of this name."""
-        yield from (one for one in self.topics or () if _is_at(one, ROS, direction) and one.matches(name))
+        yield from (topic for topic in self.topics or () if _is_at(topic, ROS, direction) and topic.matches(name))
 
     def passes(self, name: str, direction: str) -> bool:
         """Return whether it opens the topic, in the ROS graph or at the broker itself."""
-        at_the_broker = (one for one in self.topics or () if _is_at(one, MQTT, direction))
+        at_the_broker = (topic for topic in self.topics or () if _is_at(topic, MQTT, direction))
         named = any(one.matches(f"{AT_THE_BROKER}{name}") for one in at_the_broker)
         return named or any(self.has(name, direction))
 
@@ -144,7 +144,7 @@ def _missing(name: str, direction: str, opening: Opening, every: Sequence[Openin
     possible = [one for one in every if one.service == opening.service or one.place == opening.place]
     if any(one.topics is None or one.passes(name, direction) for one in possible):
         return
-    names = dict.fromkeys(one.topic for one in opening.topics or () if _is_at(one, ROS, direction))
+    names = dict.fromkeys(topic.topic for topic in opening.topics or () if _is_at(topic, ROS, direction))
     listed = ", ".join(list(names)[:TOPICS_SHOWN_MAX])
     verb, other = ("sends", "from") if direction == OUT else ("takes", "to")
     fix = "name one of them, give" if names else "give"

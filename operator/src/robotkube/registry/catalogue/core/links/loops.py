@@ -40,4 +40,6 @@ def repetitions(
 def link_variables(link: Link, services: Sequence[Service]) -> frozenset[str]:
     """The variables that a link's templates may use: its own, or without any those of the services at its ends."""
     ends = {link.source.get("service"), link.target.get("service")}
-    return frozenset(link.for_each or {variable for one in services if one.name in ends for variable in one.for_each})
+    return frozenset(
+        link.for_each or {variable for service in services if service.name in ends for variable in service.for_each}
+    )

@@ -45,7 +45,7 @@ class SuccessMeasure:
 
     def document(self) -> dict[str, Any]:
         """The measures as the entry has them."""
-        rates = [{"topic": one.topic, "atLeastHz": one.at_least_hz} for one in self.rates]
+        rates = [{"topic": rate.topic, "atLeastHz": rate.at_least_hz} for rate in self.rates]
         lists: Mapping[str, Sequence[Any]] = {NO_EVENT_OF: self.no_event_of, PROBES_OF: self.probes_of, RATES: rates}
         return {**{key: list(items) for key, items in lists.items() if items}, "seconds": self.seconds}
 

@@ -113,7 +113,9 @@ class Attachments:
             self._index(repository, subject, manifests)
             return
         self._write(repository, manifests, {entry["digest"] for entry in kept})
-        missing = {sha256(one) for one in manifests} - {entry["digest"] for entry in self._entries(repository, subject)}
+        missing = {sha256(manifest) for manifest in manifests} - {
+            entry["digest"] for entry in self._entries(repository, subject)
+        }
         if missing:
             raise UnavailableError(
                 f"registry {self._connection.url}: {repository}@{subject}: its referrers lack {min(missing)}, which "

@@ -153,7 +153,11 @@ class OciRegistry:
         """Copy an image, of an index every image, with the attachments of that type; layers are mounted when the OCI
         registry can."""
         manifest = self.manifest(source, digest)
-        attached = [one.digest for one in self.attachments(source, digest) if one.artifact_type == artifact_type]
+        attached = [
+            attachment.digest
+            for attachment in self.attachments(source, digest)
+            if attachment.artifact_type == artifact_type
+        ]
         document = read_image_manifest(manifest, f"{source}@{digest}")
         if len(document.get("manifests", ())) > PLATFORMS_MAX:
             raise InputError(
