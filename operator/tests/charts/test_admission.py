@@ -101,16 +101,16 @@ def test_the_forge_knows_its_account_and_calls_it_for_the_catalogue_alone(render
     made = read_settings(mounted(rendered, "bootstrap", tmp_path / "bootstrap"), bootstrap.read_configuration).forge
     assert made is not None
     assert [one.password for one in made.setup.accounts if one.name == "admission"] == [own.forge.account.password]
-    access = {one.name: one.access.get("admission", "none") for one in made.setup.repositories}
+    access = {repository.name: repository.access.get("admission", "none") for repository in made.setup.repositories}
     assert access == {"robotkube/deployment": "none", "robotkube/catalogue": "read"}
-    assert not [one for one in made.setup.organisations if "admission" in one.packages]
-    [hook] = [one for one in made.setup.webhooks if "//admission." in one.url]
+    assert not [organisation for organisation in made.setup.organisations if "admission" in organisation.packages]
+    [hook] = [webhook for webhook in made.setup.webhooks if "//admission." in webhook.url]
     assert (hook.repository, hook.url) == (
         "robotkube/catalogue",
         "https://admission.robotkube.svc.cluster.local:8080/webhook",
     )
     assert hook.secret == own.webhook_secret
-    assert hook.secret not in [one.secret for one in made.setup.webhooks if one is not hook]
+    assert hook.secret not in [webhook.secret for webhook in made.setup.webhooks if webhook is not hook]
 
 
 def test_its_account_writes_these_names_and_nothing_else(rendered: Rendered) -> None:

@@ -144,8 +144,14 @@ def test_the_values_of_the_how_to_of_signing_in_are_taken(helm: Any) -> None:
     del given["console"]
     rendered = [helm.template(CHARTS / "robotkube", helm.values(given), **one) for one in (ingress, forwarded)]
     settings = [yaml.safe_load(one.one("ConfigMap", "console")["data"]["config.yaml"]) for one in rendered]
-    assert [one["sign_in"]["pages"] for one in settings] == ["https://git.example.com", "https://localhost:3000"]
-    assert [one["sign_in"]["url"] for one in settings] == ["https://console.example.com", "http://127.0.0.1:8080"]
+    assert [setting["sign_in"]["pages"] for setting in settings] == [
+        "https://git.example.com",
+        "https://localhost:3000",
+    ]
+    assert [setting["sign_in"]["url"] for setting in settings] == [
+        "https://console.example.com",
+        "http://127.0.0.1:8080",
+    ]
     both = {**ingress["console"], "signIn": {**ingress["console"]["signIn"], **groups["console"]["signIn"]}}
     rendered = helm.template(CHARTS / "robotkube", helm.values(given), console=both)
     settings = yaml.safe_load(rendered.one("ConfigMap", "console")["data"]["config.yaml"])["sign_in"]
@@ -219,9 +225,9 @@ def test_the_bootstrap_gives_the_rights_that_are_tried_on_a_forge(
     path = mounted(request.getfixturevalue(profile), "bootstrap", tmp_path)
     settings = read_settings(path, bootstrap.read_configuration)
     assert settings.forge is not None
-    assert {one.name: one.packages for one in settings.forge.setup.organisations} == PACKAGES
+    assert {organisation.name: organisation.packages for organisation in settings.forge.setup.organisations} == PACKAGES
     viewers = {VIEWER: "pulls"} if profile == "embedded" else {}
-    assert {one.name for one in settings.forge.setup.accounts} == set(ACCOUNTS) - {VIEWER} | set(viewers)
+    assert {account.name for account in settings.forge.setup.accounts} == set(ACCOUNTS) - {VIEWER} | set(viewers)
     for repository in settings.forge.setup.repositories:
         assert {name: level for name, level in repository.access.items() if level == "pulls"} == viewers
 

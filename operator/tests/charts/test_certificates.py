@@ -76,7 +76,7 @@ class Installed:
 
     def trusted(self) -> set[str]:
         bundles = [self.read(place, "configmaps", "robotkube-ca") for place in ("robotkube", "robotkube-gate", *AGENTS)]
-        return {one.get("ca.crt", "") for one in bundles}
+        return {bundle.get("ca.crt", "") for bundle in bundles}
 
     def empty(self) -> None:
         """As the chart made them."""

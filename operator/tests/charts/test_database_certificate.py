@@ -54,7 +54,7 @@ class EncryptedDatabase:
         places |= {":27018": f"127.0.0.1:{self.port}"}
         arguments = self.arguments
         for old, new in places.items():
-            arguments = [one.replace(old, new) for one in arguments]
+            arguments = [argument.replace(old, new) for argument in arguments]
         accounts = {"FERRETDB_SETUP_USERNAME": "administrator", "FERRETDB_SETUP_PASSWORD": "first"}
         with (self.folder / "log").open("ab") as sink:
             self.process = subprocess.Popen(

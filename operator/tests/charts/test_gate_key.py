@@ -179,8 +179,8 @@ def test_an_upgrade_keeps_the_key_which_stands_in_its_secret_and_in_no_other(wit
     without_key.helm("upgrade")
     assert without_key.key() == before
     secrets = json.loads(without_key.cluster.kubectl("get", "secrets", "-A", "-o", "json"))["items"]
-    assert len([one for one in secrets if one["type"] == "helm.sh/release.v1"]) >= 2
-    assert [one["metadata"]["name"] for one in secrets if body in words(one)] == [KEY]
+    assert len([secret for secret in secrets if secret["type"] == "helm.sh/release.v1"]) >= 2
+    assert [secret["metadata"]["name"] for secret in secrets if body in words(secret)] == [KEY]
 
 
 def test_the_key_of_an_older_installation_moves(without_key: Installed, tmp_path: Path) -> None:

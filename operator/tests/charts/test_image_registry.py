@@ -30,7 +30,7 @@ FLEET = {
 
 def images(rendered: Any) -> set[str]:
     """References of all containers."""
-    return {one["image"] for _, pod in rendered.pods for one in _containers(pod)}
+    return {container["image"] for _, pod in rendered.pods for container in _containers(pod)}
 
 
 def _containers(pod: dict[str, Any]) -> Iterator[dict[str, Any]]:

@@ -53,13 +53,13 @@ def test_every_volume_is_of_the_class_that_k3s_brings(k3s: Any) -> None:
         spec["spec"] for one in k3s.of_kind("StatefulSet") for spec in one["spec"].get("volumeClaimTemplates", [])
     ]
     assert len(claims) >= 5
-    assert {one["storageClassName"] for one in claims} == {"local-path"}
+    assert {claim["storageClassName"] for claim in claims} == {"local-path"}
 
 
 def test_its_load_balancer_and_its_ingress_controller_have_nothing_to_do(k3s: Any, argocd: list[Any]) -> None:
     services = [*k3s.of_kind("Service"), *(one for one in argocd if one["kind"] == "Service")]
-    assert {one["metadata"]["name"] for one in services} >= {"forge", "broker", "argocd-server"}
-    assert {one["spec"].get("type", "ClusterIP") for one in services} == {"ClusterIP"}
+    assert {service["metadata"]["name"] for service in services} >= {"forge", "broker", "argocd-server"}
+    assert {service["spec"].get("type", "ClusterIP") for service in services} == {"ClusterIP"}
     kinds = {one["kind"] for one in (*k3s.objects, *argocd)}
     assert not kinds & {"Ingress", "IngressRoute", "IngressRouteTCP", "Gateway", "HTTPRoute"}
 

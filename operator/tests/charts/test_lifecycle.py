@@ -65,11 +65,11 @@ def selectors(cluster: Cluster) -> dict[str, Any]:
     """UID and selector of every workload, by kind, namespace and name: what was made anew has another UID."""
     workloads = json.loads(cluster.kubectl("get", "deployments,statefulsets", "-A", "-o", "json"))["items"]
     return {
-        f"{one['kind']} {one['metadata']['namespace']}/{one['metadata']['name']}": (
-            one["metadata"]["uid"],
-            one["spec"]["selector"],
+        f"{workload['kind']} {workload['metadata']['namespace']}/{workload['metadata']['name']}": (
+            workload["metadata"]["uid"],
+            workload["spec"]["selector"],
         )
-        for one in workloads
+        for workload in workloads
     }
 
 

@@ -107,8 +107,8 @@ def test_a_certificate_of_an_hour_ends_in_a_quarter_of_one(helm: Any) -> None:
 
 
 def test_dashboards_are_what_grafana_reads(watched: Any) -> None:
-    boards = [json.loads(text) for one in dashboards(watched) for text in one["data"].values()]
-    assert {one["uid"] for one in boards} == {"robotkube-delivery", "robotkube-robots", "robotkube-trust"}
+    boards = [json.loads(text) for dashboard in dashboards(watched) for text in dashboard["data"].values()]
+    assert {board["uid"] for board in boards} == {"robotkube-delivery", "robotkube-robots", "robotkube-trust"}
     for one in boards:
         assert [choice["type"] for choice in one["templating"]["list"]] == ["datasource"]
         places = [(panel["gridPos"]["x"], panel["gridPos"]["y"]) for panel in one["panels"]]

@@ -9,12 +9,12 @@ from tests.stages.monitoring import FILES, OF_EVERY_PROCESS, asked, documented
 
 def test_every_alert_asks_for_metrics_that_exist() -> None:
     alerts = yaml.safe_load((FILES / "alerts.yaml").read_text("utf-8"))
-    assert len({one["alert"] for one in alerts}) == len(alerts) >= 6
-    assert {one["severity"] for one in alerts} == {"critical", "warning"}
+    assert len({alert["alert"] for alert in alerts}) == len(alerts) >= 6
+    assert {alert["severity"] for alert in alerts} == {"critical", "warning"}
     names = documented()
-    missing = {one["alert"]: metrics for one in alerts if (metrics := asked(one["expr"]) - names)}
+    missing = {alert["alert"]: metrics for alert in alerts if (metrics := asked(alert["expr"]) - names)}
     assert missing == {}
-    assert all(asked(one["expr"]) for one in alerts)
+    assert all(asked(alert["expr"]) for alert in alerts)
 
 
 def test_every_panel_asks_for_metrics_that_exist() -> None:

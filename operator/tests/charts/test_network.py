@@ -175,8 +175,8 @@ def each_side(
     rules: Sequence[NetworkPolicy], everybody: Mapping[str, NetworkPeer], wanted: set[Reach]
 ) -> dict[str, Any]:
     """Where one side alone would allow more or less than the table: each must hold without the other."""
-    into = table([replace(one, egress=None) for one in rules], everybody)
-    out = table([replace(one, ingress=None) for one in rules], everybody)
+    into = table([replace(rule, egress=None) for rule in rules], everybody)
+    out = table([replace(rule, ingress=None) for rule in rules], everybody)
     return {
         "ingress": difference({r for r in into if of_ours(r[1])}, {r for r in wanted if of_ours(r[1])}),
         "egress": difference({r for r in out if of_ours(r[0])}, {r for r in wanted if of_ours(r[0])}),
@@ -314,7 +314,7 @@ def test_no_rule_lets_everybody_in(official: Any, embedded: Any, argocd: list[Ob
 def test_everything_is_denied_first_in_each_namespace_of_ours(request: pytest.FixtureRequest, profile: str) -> None:
     rendered = request.getfixturevalue(profile)
     made = {one["metadata"]["name"] for one in rendered.of_kind("Namespace")} | {"robotkube"}
-    denying = [one for one in policies(rendered.objects) if one.name == "default-deny"]
+    denying = [policy for policy in policies(rendered.objects) if policy.name == "default-deny"]
     assert {one.namespace for one in denying} == made
     assert all((one.pods, one.ingress, one.egress) == ((), (), ()) for one in denying)
 

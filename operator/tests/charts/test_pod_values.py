@@ -58,7 +58,10 @@ def values_of(component: str, values: Object) -> Object:
 def seen(rendered: Any, key: str) -> dict[str, Any]:
     """What every workload's pod has where a value leads to."""
     workloads = rendered.of_kind("Deployment", "StatefulSet", "Job")
-    parts = {f"{one['kind']}/{one['metadata']['name']}": part(one["spec"]["template"], key) for one in workloads}
+    parts = {
+        f"{workload['kind']}/{workload['metadata']['name']}": part(workload["spec"]["template"], key)
+        for workload in workloads
+    }
     return {KEY_JOB if name.startswith(f"{KEY_JOB}-") else name: value for name, value in parts.items()}
 
 

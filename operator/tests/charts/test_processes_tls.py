@@ -268,8 +268,8 @@ def test_webhooks_that_would_speak_otherwise_are_taken_away(helm: Any, tmp_path:
     """Of before the value changed: the forge would go on calling them in vain."""
     configuration = read_settings(mounted(rendered(helm, tls={"processes": on}), "bootstrap", tmp_path), read_bootstrap)
     assert configuration.forge is not None
-    today = {(one.repository, one.url) for one in configuration.forge.setup.webhooks}
-    gone = {(one.repository, one.url) for one in configuration.forge.setup.former_webhooks}
+    today = {(webhook.repository, webhook.url) for webhook in configuration.forge.setup.webhooks}
+    gone = {(webhook.repository, webhook.url) for webhook in configuration.forge.setup.former_webhooks}
     assert not today & gone
     assert {(repository, url.replace("https:", "http:")) for repository, url in today} <= {
         (repository, url.replace("https:", "http:")) for repository, url in gone if url.startswith(f"{former}:")
@@ -301,7 +301,7 @@ def test_no_pod_mounts_the_key_of_another(helm: Any) -> None:
 
 def test_the_process_reads_for_whom_to_make_certificates(helm: Any, tmp_path: Path) -> None:
     issuance = read_settings(mounted(rendered(helm), "certificates", tmp_path), read_certificates).issuance
-    named = {one.secret: one for one in issuance.certificates}
+    named = {certificate.secret: certificate for certificate in issuance.certificates}
     assert named["gate-tls"].namespace == "robotkube-gate"
     assert named["manager-north-tls"].namespace == ""
     assert "robotkube-gate" in issuance.namespaces

@@ -219,7 +219,7 @@ def test_people_at_the_console_write_tasks_in_the_listed_namespaces_alone(helm: 
         {"apiGroups": ["robotkube.io"], "resources": ["taskdescriptions"], "verbs": ["create", "delete"]}
     ]
     bindings = [one for one in rendered.of_kind("RoleBinding") if one["roleRef"]["name"] == "robotkube-console-writer"]
-    assert [(one["metadata"]["namespace"], one["subjects"][0]["name"]) for one in bindings] == [
+    assert [(binding["metadata"]["namespace"], binding["subjects"][0]["name"]) for binding in bindings] == [
         ("cloud-0", "robotkube:console:robotkube:operators")
     ]
 

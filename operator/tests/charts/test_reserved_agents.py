@@ -42,7 +42,7 @@ def test_it_has_what_every_agent_has(rendered: Any) -> None:
     labels = rendered.one("Namespace", NEW)["metadata"]["labels"]
     assert (labels["robotkube.io/agent"], "robotkube.io/role" in labels) == (NEW, False)
     destinations = rendered.one("AppProject", "robotkube-apps", "argocd")["spec"]["destinations"]
-    assert NEW in {one["namespace"] for one in destinations}
+    assert NEW in {destination["namespace"] for destination in destinations}
 
 
 def test_the_console_starts_with_it(rendered: Any, tmp_path: Path) -> None:

@@ -73,7 +73,7 @@ def prepared_forge(rendered: Any, forge: ForgeProcess, folder: Path, webhook: st
     administration = GiteaAdministration(forge.url, forge.administrator, forge.administrator_password)
     Bootstrap(30, time.monotonic, time.sleep).forge(replace(made.setup, webhooks=hooks), administration)
     administration.disconnect()
-    return next(one.password for one in made.setup.accounts if one.name == "gate")
+    return next(account.password for account in made.setup.accounts if account.name == "gate")
 
 
 def settings_of(rendered: Any, forge: ForgeProcess, port: int, broker: int, folder: Path) -> Path:

@@ -249,7 +249,10 @@ def test_a_chart_that_restarts_as_its_entry_says(read: Read, tmp_path: Path) -> 
 
 def test_a_type_that_the_suites_cannot_publish(relay: Subject) -> None:
     def own(interfaces: Any) -> Any:
-        return [{**one, "type": "rover_msgs/msg/Fix"} if one["direction"] == "in" else one for one in interfaces]
+        return [
+            {**interface, "type": "rover_msgs/msg/Fix"} if interface["direction"] == "in" else interface
+            for interface in interfaces
+        ]
 
     problems = failed(changed(changed(relay, "interfaces", own), "images", lambda _: ["rover"]))
     assert "none of the packaged images has the message package rover_msgs" in problems["message-types"]

@@ -86,7 +86,7 @@ def trusted(rendered: Any) -> set[str]:
     by_tls = forge_url(rendered).startswith("https:")
     places = ["robotkube", *(["robotkube-gate"] if by_tls else []), *AGENTS]
     bundles = [rendered.one("ConfigMap", "robotkube-ca", place) for place in places]
-    return {one.get("data", {}).get("ca.crt", "") for one in bundles}
+    return {bundle.get("data", {}).get("ca.crt", "") for bundle in bundles}
 
 
 def forge_url(rendered: Any) -> str:
@@ -146,14 +146,16 @@ def test_the_process_reads_the_settings_that_the_chart_writes(official: Any, tmp
     assert (issuance.platform, issuance.namespaces) == ("robotkube", ("robotkube", "robotkube-gate", *AGENTS))
     host = official.one("Secret", "broker-account", "vehicle-00")["stringData"]["host"]
     servers = ["broker", "database", "forge", "gate", "manager", "rights", "suite-runner"]
-    assert [one.secret for one in issuance.certificates] == [f"{name}-tls" for name in servers]
-    assert {one.secret: one.service for one in issuance.certificates if one.service} == {"forge-tls": "forge"}
+    assert [certificate.secret for certificate in issuance.certificates] == [f"{name}-tls" for name in servers]
+    assert {
+        certificate.secret: certificate.service for certificate in issuance.certificates if certificate.service
+    } == {"forge-tls": "forge"}
     assert {"forge.robotkube.svc.cluster.local", "localhost", "127.0.0.1"} <= set(issuance.certificates[2].names)
     assert issuance.certificates[0].names[0] == host
     assert (
         issuance.certificates[1].names[0] == official.one("Secret", "database-account", "cloud-0")["stringData"]["host"]
     )
-    assert {one.seconds for one in issuance.certificates} == {90 * 86_400}
+    assert {certificate.seconds for certificate in issuance.certificates} == {90 * 86_400}
 
 
 def test_the_process_reads_the_settings_of_an_earlier_chart(official: Any, tmp_path: Path) -> None:
@@ -162,7 +164,7 @@ def test_the_process_reads_the_settings_of_an_earlier_chart(official: Any, tmp_p
     document["certificate"] = document.pop("certificates")[0]
     path.write_text(yaml.safe_dump(document))
     issuance = read_settings(path, read_configuration, FORMER_KEYS).issuance
-    assert [one.secret for one in issuance.certificates] == ["broker-tls"]
+    assert [certificate.secret for certificate in issuance.certificates] == ["broker-tls"]
 
 
 @pytest.mark.parametrize("accounts", ["auto", "certificates"])
@@ -177,15 +179,17 @@ def test_accounts_are_proved_by_certificates(helm: Any, tmp_path: Path, accounts
     assert f"{folder}/revoked.crl" in rendered.one("ConfigMap", "broker")["data"]["run.sh"]
     secrets = [one for one in rendered.of_kind("Secret") if "password" in one.get("stringData", {})]
     of_broker = {
-        (one["metadata"].get("namespace", "robotkube"), one["metadata"]["name"]): one["stringData"]
-        for one in secrets
-        if one["metadata"]["name"].startswith("broker-account")
+        (secret["metadata"].get("namespace", "robotkube"), secret["metadata"]["name"]): secret["stringData"]
+        for secret in secrets
+        if secret["metadata"]["name"].startswith("broker-account")
     }
     assert {one["identity"] for one in of_broker.values()} == {"certificate"}
     issuance = read_settings(mounted(rendered, "certificates", tmp_path), read_configuration).issuance.accounts
     assert issuance is not None
-    assert {(one.namespace, one.secret) for one in issuance.certificates} == set(of_broker)
-    assert {one.account for one in issuance.certificates} == {one["username"] for one in of_broker.values()}
+    assert {(certificate.namespace, certificate.secret) for certificate in issuance.certificates} == set(of_broker)
+    assert {certificate.account for certificate in issuance.certificates} == {
+        one["username"] for one in of_broker.values()
+    }
     assert issuance.shut == "https://rights.robotkube.svc.cluster.local:8080/accounts"
     for name in ("manager", "rights", "console"):
         volumes = str(dict(rendered.pods)[f"Deployment/{name}"]["volumes"])

@@ -101,7 +101,7 @@ def distribution(requirement: str) -> str:
 def declared(*extras: str) -> frozenset[str]:
     project = tomllib.loads((TOP / "operator" / "pyproject.toml").read_text())["project"]
     lists = [project["dependencies"], *(project["optional-dependencies"][extra] for extra in extras)]
-    return frozenset(distribution(one) for requirements in lists for one in requirements)
+    return frozenset(distribution(requirement) for requirements in lists for requirement in requirements)
 
 
 def every_extra() -> frozenset[str]:

@@ -123,4 +123,6 @@ def test_the_lock_names_no_address() -> None:
     lock = json.loads((web.FOLDER / "package-lock.json").read_text())
     packages = {name: one for name, one in lock["packages"].items() if name}
     assert set(packages) == {"node_modules/pnpm"}
-    assert all("resolved" not in one and one["integrity"].startswith("sha512-") for one in packages.values())
+    assert all(
+        "resolved" not in package and package["integrity"].startswith("sha512-") for package in packages.values()
+    )

@@ -151,7 +151,7 @@ def test_the_gate_copies_it_to_where_nodes_pull_and_nobody_else_writes(
         manifest = json.loads(nodes.manifest(target, digest))
         for blob in (manifest["config"], *manifest["layers"]):
             assert nodes.blob(target, blob["digest"], blob["size"])
-        assert [one.artifact_type for one in gate.attachments(target, digest)] == [BILL_TYPE]
+        assert [attachment.artifact_type for attachment in gate.attachments(target, digest)] == [BILL_TYPE]
         with pytest.raises(InputError, match=f"has no manifest sha256:{'0' * 64}"):
             gate.copy_image(source, target, f"sha256:{'0' * 64}", BILL_TYPE)
         for account, place in ((nodes, target), (nodes, source), (registry, target)):

@@ -70,7 +70,9 @@ class Memory:
         return [{"_id": f"{recording}/{POSE}/0/{name}", **bucket}]
 
     def index(self, recording: str) -> Iterable[Mapping[str, Any]]:
-        return [{"_id": f"{recording}/{CLOUD}/{one['offset']}", "recording": recording, **one} for one in self.entries]
+        return [
+            {"_id": f"{recording}/{CLOUD}/{entry['offset']}", "recording": recording, **entry} for entry in self.entries
+        ]
 
     def segments(self, recording: str) -> Sequence[Mapping[str, Any]]:
         return self.files

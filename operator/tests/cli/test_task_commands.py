@@ -196,11 +196,11 @@ def test_every_change_is_a_line_with_its_own_time() -> None:
     first = {"type": "Ready", "status": "False", "reason": "Progressing", "lastTransitionTime": "2026-11-21T10:00:00Z"}
     before = {"metadata": {}, "status": {"conditions": [{**first, "message": "waits"}]}}
     now = {"metadata": {}, "status": {"conditions": [{**first, "message": "starts"}]}}
-    assert [one["time"] for one in watch.changes("a/b", None, before, "later")] == ["", "2026-11-21T10:00:00Z"]
-    assert [(one["message"], one["time"]) for one in watch.changes("a/b", before, now, "later")] == [
+    assert [change["time"] for change in watch.changes("a/b", None, before, "later")] == ["", "2026-11-21T10:00:00Z"]
+    assert [(change["message"], change["time"]) for change in watch.changes("a/b", before, now, "later")] == [
         ("starts", "later")
     ]
-    assert [(one["condition"], one["time"]) for one in watch.changes("a/b", now, None, "last")] == [
+    assert [(change["condition"], change["time"]) for change in watch.changes("a/b", now, None, "last")] == [
         ("Withdrawn", "last")
     ]
 

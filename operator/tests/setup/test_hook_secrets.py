@@ -55,7 +55,7 @@ class ArgoCD:
 
     def restarted(self) -> set[str]:
         """Deployments whose pods are asked for anew since they were made."""
-        return {one.metadata.name for one in self._deployments() if one.metadata.generation > 1}
+        return {deployment.metadata.name for deployment in self._deployments() if deployment.metadata.generation > 1}
 
     def pods(self, deployment: str, old: int = 0, new: int = 0) -> None:
         """What the controller of Deployments says of one: how many pods there are, all of them ready."""

@@ -45,7 +45,7 @@ def calls(path: Path) -> Iterator[Shown]:
 
 
 def all_calls() -> set[Shown]:
-    return {one for path in sorted(TESTS.rglob("test_*.py")) if path != Path(__file__) for one in calls(path)}
+    return {call for path in sorted(TESTS.rglob("test_*.py")) if path != Path(__file__) for call in calls(path)}
 
 
 def test_every_refusal_is_shown_by_the_test_that_its_cell_names() -> None:

@@ -181,7 +181,7 @@ def test_a_library_of_an_adapter_that_loops_could_import_is_a_finding(place: Pat
 def test_every_contract_with_a_list_is_there() -> None:
     text = (REPOSITORY / "operator/pyproject.toml").read_text(encoding="utf-8")
     beginnings = boundaries.demanded(REPOSITORY / "operator/src/robotkube")
-    assert {one: text.count(f'\nname = "{one}') for one in beginnings} == dict.fromkeys(beginnings, 1)
+    assert {beginning: text.count(f'\nname = "{beginning}') for beginning in beginnings} == dict.fromkeys(beginnings, 1)
 
 
 @pytest.mark.parametrize(

@@ -108,7 +108,7 @@ def test_every_image_has_the_licence_and_the_notice(image: ImageRecipe, tmp_path
     text = image.dockerfile.read_text()
     stands_on = next(line.split()[1] for line in reversed(text.splitlines()) if line.startswith("FROM "))
     if stands_on == "scratch":
-        targets = {one.target for one in image.contents(sources_in(tmp_path))}
+        targets = {content.target for content in image.contents(sources_in(tmp_path))}
         assert {"LICENSE", "NOTICE"} <= targets
         assert "\nCOPY LICENSE NOTICE /licenses/\n" in text
     else:

@@ -143,7 +143,7 @@ def test_messages_count_where_they_are_heard(actor: acting.Actor, stage: ActingS
         assert actor._holds(state) is holds
     listened = "vehicle-00/mqtt-bridge-x /vehicles/roadside_0/objects geometry_msgs/msg/PoseArray 2"
     assert stage.doings == [f"listen {listened}"] * 2
-    assert [bytes(one) for one in listening.messages("\n".join(stage.heard))] == [b"message"] * 2
+    assert [bytes(message) for message in listening.messages("\n".join(stage.heard))] == [b"message"] * 2
 
 
 def test_what_is_not_seen_ends_the_story_and_is_taken_back(actor: acting.Actor, stage: ActingStage) -> None:
@@ -250,7 +250,7 @@ def test_a_task_s_life_is_noted_from_the_watch() -> None:
         watch.note(kind, task)
     first, second = watch.lives()
     assert (first.key, first.parent) == ("cloud-0/a", "cloud-0/b")
-    assert [(one.type, one.reason) for one in first.conditions] == [
+    assert [(condition.type, condition.reason) for condition in first.conditions] == [
         ("Accepted", "Postponed"),
         ("Accepted", "Accepted"),
         ("Ready", "Observed"),

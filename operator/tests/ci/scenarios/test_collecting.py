@@ -261,7 +261,7 @@ def test_a_story_that_breaks_off_is_reported_and_fails(
 def test_every_measure_names_the_fields_that_it_is_computed_from(run: Any) -> None:
     inputs = run.inputs()
     met = encounters(run.scenario, inputs)
-    known = {one.name for one in fields(RunInputs)}
+    known = {field.name for field in fields(RunInputs)}
     assert set(expectations.NEEDS) == set(expectations.MEASURES)
     for name, measure in expectations.MEASURES.items():
         read_fields: set[str] = set()

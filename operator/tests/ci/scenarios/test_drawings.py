@@ -300,7 +300,7 @@ def test_of_many_vehicles_those_with_the_oldest_poses_are_shown() -> None:
 
 def test_ages_without_seconds_are_a_distribution_alone() -> None:
     drawn = gallery(changed(pose_ages={"milliseconds": [5], "poses": [3], "vehicles": {}}))["ages"]
-    assert [one.caption for one in drawn.drawings] == ["Pose age: distribution"]
+    assert [drawing.caption for drawing in drawn.drawings] == ["Pose age: distribution"]
     assert "older event detectors" in drawn.missing
 
 

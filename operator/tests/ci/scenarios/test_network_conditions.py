@@ -231,8 +231,8 @@ def test_poses_that_are_lost_are_counted_apart(run: Any) -> None:
     without_clouds(run, range(40, 45))
     assert run.failed() == set()
     pose = definition.pose_topic("vehicle-00")
-    of_pose = [one for one in run.samples if one["recording"] == "recording-0" and one["topic"] == pose]
-    run.samples = [one for one in run.samples if one not in of_pose[100:103]]
+    of_pose = [sample for sample in run.samples if sample["recording"] == "recording-0" and sample["topic"] == pose]
+    run.samples = [sample for sample in run.samples if sample not in of_pose[100:103]]
     rows = {row.name: row.measured for row in run.judge().table}
     assert (rows["poses_lost"], rows["lost"]) == (3, 8)
 

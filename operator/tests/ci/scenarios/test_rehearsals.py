@@ -235,7 +235,11 @@ def test_a_chain_of_operators_is_launched_and_goes_from_its_top(
     }
     services = ("roadside-0/object-detection-roadside-0", "roadside-0/object-tracking-roadside-0")
     steps = [
-        {"name": "child", "do": {"submit": child}, "until": [{"release": one, "is": "ready"} for one in services]},
+        {
+            "name": "child",
+            "do": {"submit": child},
+            "until": [{"release": service, "is": "ready"} for service in services],
+        },
         {"name": "gone", "do": {"delete": "cloud-0/approach"}},
     ]
     actor._step(read_steps(steps)[0])

@@ -152,7 +152,9 @@ def test_a_recording_names_what_is_missing(run: Run) -> None:
 
 def test_what_does_not_reach_the_end_of_the_window_is_a_gap(run: Run) -> None:
     stop = START + int(27.5 * SECOND)
-    run.samples = [one for one in run.samples if not stop - 2 * SECOND < one["samples"][0]["stamp"] <= stop + SECOND]
+    run.samples = [
+        sample for sample in run.samples if not stop - 2 * SECOND < sample["samples"][0]["stamp"] <= stop + SECOND
+    ]
     poses = drawings(run)["recordings"][0]["topics"][0]
     assert poses["gaps"][-1] == [25.5, 27.5]
 

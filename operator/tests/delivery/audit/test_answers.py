@@ -142,7 +142,7 @@ def test_findings_say_whether_they_concern_what_was_asked(platform: Platform) ->
     main.commit(gone, "away with it\n", BEGAN + 60 * MINUTE, "ada")
     for word, concerns in (("vehicle-00/mqtt-bridge", True), ("cloud-0/recorder-a", False), ("", True)):
         findings = platform.audit(word)["findings"]
-        assert [(one["finding"], one["concerns"]) for one in findings] == [
+        assert [(finding["finding"], finding["concerns"]) for finding in findings] == [
             ("changed-by-hand", concerns),
             ("unchecked-commit", concerns),
         ]

@@ -63,7 +63,7 @@ def test_nothing_is_released_on_who_is_not_enrolled() -> None:
 
 def test_what_stands_on_a_withdrawn_agent_goes() -> None:
     withdrawn = proposal({**files(BRIDGE), **files(RELEASE)}, files(BRIDGE), message(charts=()))
-    assert not [one for one in proposal_checks.judge(withdrawn, TIP, CLOSED).problems if "reserved" in one]
+    assert not [problem for problem in proposal_checks.judge(withdrawn, TIP, CLOSED).problems if "reserved" in problem]
 
 
 def test_the_settings_name_who_is_reserved(tmp_path: Path) -> None:

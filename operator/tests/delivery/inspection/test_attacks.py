@@ -27,7 +27,7 @@ from tests.stages.delivery.inspected_node import (
 def _words(reason: str, item: dict[str, Any], runs: Any = (), **changes: Any) -> str:
     """The message of the one stranger of that reason on a node with this pod."""
     strangers = strangers_on(pods(item), running(*runs), {}, permitted(**changes), NOW)
-    (message,) = [one.message for one in strangers if one.reason == reason]
+    (message,) = [stranger.message for stranger in strangers if stranger.reason == reason]
     return message
 
 

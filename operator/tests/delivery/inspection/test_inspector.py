@@ -129,7 +129,7 @@ def test_the_log_tells_reason_and_message_apart(stage: Stage, caplog: pytest.Log
     stage.run(NAMED_SECONDS)
     lines = [split_message(record.getMessage()) for record in caplog.records]
     fields = [fields for event, fields in lines if event == "stranger appeared" and fields["container"] != "-"]
-    assert [one["reason"] for one in fields] == ["ForeignImage"]
+    assert [field["reason"] for field in fields] == ["ForeignImage"]
     assert FOREIGN_IMAGE in fields[0]["message"]
 
 
@@ -358,7 +358,7 @@ def _forged(status: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _counted(stage: Stage, name: str) -> Mapping[tuple[str, ...], float]:
-    (values,) = [one.values for one in stage.reporter.metrics() if one.name == f"robotkube_inspection_{name}"]
+    (values,) = [metric.values for metric in stage.reporter.metrics() if metric.name == f"robotkube_inspection_{name}"]
     return values
 
 
@@ -374,7 +374,7 @@ def test_a_stranger_that_somebody_made_unnamed_is_named_again(stage: Stage, capl
     stage.run(4)
     assert stage.conditions() == STRANGE
     assert _counted(stage, "restored_total") == {(): 1.0}
-    (line,) = [one.getMessage() for one in caplog.records if "restored" in one.getMessage()]
+    (line,) = [record.getMessage() for record in caplog.records if "restored" in record.getMessage()]
     assert line == "inspection restored name=kubelet.a was=changed"
     shown("nodes", line, "inspection-forged")
 
@@ -396,7 +396,7 @@ def test_admission_that_changes_what_is_written_is_said(stage: Stage, caplog: py
     assert "the API server has something else than what was written, so do not believe it" in problem
     shown("nodes", problem, "inspection-changed-by-policy")
     assert _counted(stage, "write_failures_total")[("Changed",)] >= 5
-    hindered = [one for one in caplog.records if "inspection hindered" in one.getMessage()]
+    hindered = [record for record in caplog.records if "inspection hindered" in record.getMessage()]
     assert len(hindered) == 1
     assert list(_counted(stage, "strangers").values()) == [1.0, 1.0]
     stage.inspections.changes = lambda status: status
@@ -418,7 +418,7 @@ def test_metrics(stage: Stage) -> None:
     stage.nodes.readings["b"] = None
     stage.nodes.readings["a"] = reading(pod_object(), STRANGER)
     stage.run(31.5)
-    series = {one.name: one.values for one in stage.reporter.metrics()}
+    series = {metric.name: metric.values for metric in stage.reporter.metrics()}
     assert series["robotkube_inspection_strangers"] == {
         ("kubelet", "a", "ForeignImage"): 1.0,
         ("kubelet", "a", "NoRelease"): 1.0,
@@ -435,11 +435,11 @@ def test_what_the_machines_own_process_reports_is_in_the_metrics(stage: Stage) -
     others.report(Look("machine", (beside,), "a"))
     others.report(Look("machine", node="b", problem="dark"))
     stage.run(15)
-    series = {one.name: one.values for one in stage.reporter.metrics()}
+    series = {metric.name: metric.values for metric in stage.reporter.metrics()}
     assert series["robotkube_inspection_strangers"] == {("machine", "a", "BesideTheKubelet"): 1.0}
     assert series["robotkube_inspection_look_age_seconds"][("machine", "a")] == pytest.approx(15, abs=1)
     unseen = series["robotkube_inspection_unseen"]
     assert (unseen[("machine", "a")], unseen[("machine", "b")]) == (0.0, 1.0)
     stage.inspections.remove("machine.a")
     stage.run(11)
-    assert not {one.name: one.values for one in stage.reporter.metrics()}["robotkube_inspection_strangers"]
+    assert not {metric.name: metric.values for metric in stage.reporter.metrics()}["robotkube_inspection_strangers"]

@@ -253,5 +253,5 @@ def test_while_the_forge_is_away_the_last_list_counts(stage: Stage) -> None:
     permitted = stage.reader.permitted()
     assert permitted is not None
     strangers = strangers_on(pods(pod_object(image=FOREIGN_IMAGE)), (), {}, permitted, NOW)
-    (message,) = [one.message for one in strangers if one.reason == "ForeignImage"]
+    (message,) = [stranger.message for stranger in strangers if stranger.reason == "ForeignImage"]
     shown("nodes", message, "verifier-off")

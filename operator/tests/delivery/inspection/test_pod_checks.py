@@ -33,7 +33,7 @@ def _seen(*objects: dict[str, Any], runs: Any = (), known: Any = KNOWN, **change
 
 
 def _reasons(strangers: tuple[Stranger, ...]) -> list[str]:
-    return [one.reason for one in strangers]
+    return [stranger.reason for stranger in strangers]
 
 
 def test_a_pod_of_a_release_is_none() -> None:

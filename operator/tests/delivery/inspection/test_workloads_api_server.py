@@ -119,7 +119,7 @@ def test_what_the_api_server_fills_in_is_explained(api: Api, spec: dict[str, Any
 @pytest.mark.parametrize("chart", APPS)
 def test_our_own_charts_are_as_they_are_rendered(api: Api, chart: str) -> None:
     documents = yaml.safe_load_all((GOLDEN / f"{chart}.yaml").read_text(encoding="utf-8"))
-    [item] = [one for one in documents if one and one["kind"] == "Deployment"]
+    [item] = [document for document in documents if document and document["kind"] == "Deployment"]
     item["metadata"]["name"] = chart
     assert differences(applied(api, item), item) == ()
 
@@ -149,7 +149,7 @@ def of_a_pod(made: dict[str, Any], template: dict[str, Any]) -> tuple[str, ...]:
 @pytest.mark.parametrize("chart", APPS)
 def test_a_pod_of_our_own_charts_is_its_template(api: Api, chart: str) -> None:
     documents = yaml.safe_load_all((GOLDEN / f"{chart}.yaml").read_text(encoding="utf-8"))
-    [item] = [one for one in documents if one and one["kind"] == "Deployment"]
+    [item] = [document for document in documents if document and document["kind"] == "Deployment"]
     item["metadata"]["name"] = f"pod-of-{chart}"
     made, template = as_pod(api, item)
     assert of_a_pod(made, template) == ()
@@ -243,9 +243,9 @@ def test_kinds_that_start_no_pod_are_named_by_one_look(api: Api, workloads: Kube
     until(lambda: len(workloads.read("vehicle-00", "Job")) == 2)
     permitted = Permitted(DOMAIN, Allowed((VERIFIED,), (), (CHART,)), {})
     strangers = ReleaseLooks(workloads).look(permitted).strangers
-    assert {(one.kind, one.name, one.reason) for one in strangers if one.kind != "Deployment"} == {
-        (kind, "miner", "NoRelease") for kind in workloads.kinds
-    }
+    assert {
+        (stranger.kind, stranger.name, stranger.reason) for stranger in strangers if stranger.kind != "Deployment"
+    } == {(kind, "miner", "NoRelease") for kind in workloads.kinds}
 
 
 def _authority(api: Api) -> Any:

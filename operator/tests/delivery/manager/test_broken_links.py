@@ -27,14 +27,14 @@ REPORT = LinkReport(BRIDGE, "mqtt-bridge-0", 6, (FAULT,))
 
 def message(stage: Stage, key: str) -> str:
     conditions = stage.tasks.objects[key]["status"]["conditions"]
-    return str(next(one["message"] for one in conditions if one["type"] == "Ready"))
+    return str(next(condition["message"] for condition in conditions if condition["type"] == "Ready"))
 
 
 def link_of(stage: Stage, key: str) -> LinkFault:
     """A topic that the task's links take from vehicle-00."""
     outcome = stage.manager.planner.outcomes[key]
     assert isinstance(outcome, Met)
-    release, direction, topic = next(one for one in outcome.links if one[0] == BRIDGE)
+    release, direction, topic = next(link for link in outcome.links if link[0] == BRIDGE)
     assert release in outcome.releases
     return LinkFault(direction, topic, FAULT.reason)
 

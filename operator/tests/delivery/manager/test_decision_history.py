@@ -51,17 +51,17 @@ def test_every_other_decision_is_added_with_its_time(stage: Stage) -> None:
     stage.tasks.change(key, parameters={"vehicles": ["vehicle-01", "vehicle-02"]})
     stage.settle()
     entries = history(stage, key)
-    assert [(one["generation"], one["reason"]) for one in entries] == [
+    assert [(entry["generation"], entry["reason"]) for entry in entries] == [
         (1, "UnknownApplication"),
         (2, "Accepted"),
         (3, "Accepted"),
     ]
-    assert [one["runs"] for one in entries] == [
+    assert [entry["runs"] for entry in entries] == [
         [],
         ["cloud-0/recorder-vehicle-00-vehicle-01: event-detector 0.2.3"],
         ["cloud-0/recorder-vehicle-01-vehicle-02: event-detector 0.2.3"],
     ]
-    times = [one["time"] for one in entries]
+    times = [entry["time"] for entry in entries]
     assert times == sorted(set(times))
 
 
@@ -71,8 +71,8 @@ def test_the_history_is_bounded() -> None:
         entries = with_decision(entries, number, "Accepted", ["x"] * 1000, "m" * 100_000, "2026-11-21T10:00:00Z")
         same = with_decision(entries, number, "Accepted", ["x"] * 1000, "another message", "2026-11-21T11:00:00Z")
         assert same == entries
-    assert [one["generation"] for one in entries] == list(range(2 * ENTRIES_MAX, 3 * ENTRIES_MAX))
-    assert {len(one["message"]) for one in entries} == {MESSAGE_CHARACTERS_MAX}
+    assert [entry["generation"] for entry in entries] == list(range(2 * ENTRIES_MAX, 3 * ENTRIES_MAX))
+    assert {len(entry["message"]) for entry in entries} == {MESSAGE_CHARACTERS_MAX}
 
 
 @pytest.mark.parametrize("reason", REFUSAL_REASONS)

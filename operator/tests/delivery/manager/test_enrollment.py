@@ -43,7 +43,7 @@ def people(stage: Stage, files: dict[str, str | None]) -> None:
 def namespaces(stage: Stage, task: str = "") -> set[str]:
     """The namespaces with releases; of those alone that the task asks for."""
     releases = stage.releases().values()
-    return {one.namespace for one in releases if not task or task in {cause.task for cause in one.causes}}
+    return {release.namespace for release in releases if not task or task in {cause.task for cause in release.causes}}
 
 
 def test_a_vehicle_enrolled_in_mid_run_takes_part(stage: Stage) -> None:

@@ -77,6 +77,6 @@ def test_the_task_says_it(stage: Stage) -> None:
     stage.go(wake=APPLICATIONS)
     assert stage.tasks.condition(key, "Ready") == ("False", "Progressing")
     conditions = stage.tasks.objects[key]["status"]["conditions"]
-    (message,) = (one["message"] for one in conditions if one["type"] == "Ready")
+    (message,) = (condition["message"] for condition in conditions if condition["type"] == "Ready")
     said = "pod watch-1: container watch ended (Error, exit code 2), started again 2 times; its log says why"
     assert message == f"{release}: health is Progressing; {said}"

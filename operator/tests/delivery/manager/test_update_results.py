@@ -449,7 +449,7 @@ def test_a_topic_that_was_too_slow_before_is_not_put_down_to_the_version_and_tha
     fleet.event("vehicle-00", "silent", ongoing=True)
     before = fleet.events
     fleet = rated(SLOW, ABSENT)
-    fleet.events = {key: [replace(one, time_ns=1) for one in events] for key, events in before.items()}
+    fleet.events = {key: [replace(event, time_ns=1) for event in events] for key, events in before.items()}
     fleet.now += 60
     assert fleet.commit() is not None
     text = fleet.decide().states[TRIED].text

@@ -214,7 +214,7 @@ def test_what_dies_on_a_vehicle_that_was_offline_is_taken_back_there_alone(stage
 
 def test_a_healthy_version_is_taken_back_by_its_results(stage: Stage, tmp_path: Path) -> None:
     machines = stage.cluster.machines
-    stage.cluster.machines = [replace(one, capabilities=one.capabilities | {"lidar"}) for one in machines]
+    stage.cluster.machines = [replace(machine, capabilities=machine.capabilities | {"lidar"}) for machine in machines]
     policy(stage, "default: {first: [vehicle-00]}\n")
     stage.settle()
     before = versions(stage)
@@ -244,7 +244,7 @@ def test_a_healthy_version_is_taken_back_by_its_probes(stage: Stage, tmp_path: P
     settle(stage)
     go(stage)
     settle(stage)
-    [canary] = [one for one in stage.releases().values() if one.version == number]
+    [canary] = [release for release in stage.releases().values() if release.version == number]
     pod = PodState(
         canary.namespace, "bridge-0", canary.key, uid="u", containers=(ContainerState("bridge", True, True),)
     )

@@ -466,7 +466,7 @@ class TestRegistries:
 def test_problems_that_differ_in_their_places_alone_are_one() -> None:
     same = [Problem("what", f"place {number}", "why", "fix") for number in range(8)]
     problems = gathered([*same, same[0], Problem("else", "place 1", "why", "fix")])
-    assert [one.where for one in problems] == [
+    assert [problem.where for problem in problems] == [
         ", ".join(f"place {number}" for number in range(6)) + " and 2 more",
         "place 1",
     ]

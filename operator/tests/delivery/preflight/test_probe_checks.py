@@ -33,8 +33,8 @@ NOT_PULLED = NodeOutcome(False, "ErrImagePull: 401 Unauthorized", NO_POD)
 def said(found: ClusterFinding) -> str:
     """What a failed check says of its problems: each has what, where, why and fix."""
     assert found.result == FAILED, found
-    assert all(one.what and one.where and one.why and one.fix for one in found.problems), found
-    return "\n".join(f"{one.where}: {one.what} -> {one.fix}" for one in found.problems)
+    assert all(problem.what and problem.where and problem.why and problem.fix for problem in found.problems), found
+    return "\n".join(f"{problem.where}: {problem.what} -> {problem.fix}" for problem in found.problems)
 
 
 @pytest.mark.parametrize("check", [one.name for one in PROBE_CHECKS])
@@ -116,7 +116,7 @@ def test_a_wrong_clock_is_named_also_when_all_were_compared_with_it() -> None:
     for name in ("vehicle-00", "vehicle-01"):
         nodes |= {name: answered(name, clock_ahead=0.3)[name]}
     judged = probe_finding("clocks", probed(nodes=nodes))
-    assert [one.where for one in judged.problems] == ["Node cloud-0"]
+    assert [problem.where for problem in judged.problems] == ["Node cloud-0"]
     assert "300 ms ahead of the middle" in said(judged)
 
 

@@ -105,8 +105,8 @@ def test_each_pod_asks_its_neighbour_and_all_ask_one_clock() -> None:
     stage = Stage(Cluster())
     probed = stage.probing.run()
     questions = [stage.cluster.questions(f"ask-{number}") for number in range(3)]
-    assert [one.clock for one in questions] == ["10.0.0.0"] * 3
-    assert [one.neighbour for one in questions] == ["10.0.0.1", "10.0.0.2", "10.0.0.0"]
+    assert [question.clock for question in questions] == ["10.0.0.0"] * 3
+    assert [question.neighbour for question in questions] == ["10.0.0.1", "10.0.0.2", "10.0.0.0"]
     assert [probed.nodes[name].neighbour for name in NODES] == ["vehicle-00", "vehicle-01", "cloud-0"]
 
 

@@ -74,7 +74,9 @@ def test_missing_verbs_are_named_with_their_places() -> None:
 def test_who_gives_rights_has_them_or_may_give_others(missing: set[ApiRight], problems: int) -> None:
     missing_rights = rights(Reviewed(NEEDED, frozenset(missing))).problems
     assert len(missing_rights) == problems
-    assert all("may not give get of pods" in one.what and "escalate and bind" in one.fix for one in missing_rights)
+    assert all(
+        "may not give get of pods" in right.what and "escalate and bind" in right.fix for right in missing_rights
+    )
 
 
 def test_an_administrator_is_asked_once() -> None:

@@ -27,7 +27,7 @@ def finding(check: str, **changed: Any) -> ClusterFinding:
 def said(found: ClusterFinding) -> str:
     """Everything that a failed check says of its problems."""
     assert found.result == FAILED, found
-    return "\n".join(f"{one.where}: {one.what} -> {one.fix}" for one in found.problems)
+    return "\n".join(f"{problem.where}: {problem.what} -> {problem.fix}" for problem in found.problems)
 
 
 def test_agents_that_share_a_node_have_one_and_that_is_said() -> None:

@@ -32,11 +32,11 @@ class ClusterInMemory:
 
     def put(self, *inspections: Object) -> None:
         """The Inspections as an inspector writes them: the remover's condition stays."""
-        for one in inspections:
-            before = self.documents.get(one["metadata"]["name"], {})
+        for inspection in inspections:
+            before = self.documents.get(inspection["metadata"]["name"], {})
             kept = [c for c in before.get("status", {}).get("conditions", []) if c["type"] == "Removed"]
-            status = {**one["status"], "conditions": [*one["status"]["conditions"], *kept]}
-            self.documents[one["metadata"]["name"]] = {**one, "status": status}
+            status = {**inspection["status"], "conditions": [*inspection["status"]["conditions"], *kept]}
+            self.documents[inspection["metadata"]["name"]] = {**inspection, "status": status}
 
     def condition(self, name: str = "kubelet.one") -> tuple[str, str, str]:
         """Status, reason and message of Removed."""

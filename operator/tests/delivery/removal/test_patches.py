@@ -124,9 +124,9 @@ def test_exactly_what_is_named_goes(excess: list[str]) -> None:
     """Whatever is named in whatever order: the leaves that are left are those that no pointer names."""
     whole = deployment()
     allowed = ("/spec/", "/metadata/annotations/", "/metadata/labels/")
-    names = [one for one in pointers(whole) if not isinstance(at(whole, one), (dict, list))]
+    names = [pointer for pointer in pointers(whole) if not isinstance(at(whole, pointer), (dict, list))]
     meant = [one for one in excess if one.startswith(allowed)]
-    kept = [one for one in names if not any(one == top or one.startswith(f"{top}/") for top in meant)]
+    kept = [name for name in names if not any(name == top or name.startswith(f"{top}/") for top in meant)]
     patch = restoring_patch(whole, workload_target(*excess))
     assert isinstance(patch, list)
     assert bool(patch) == bool(meant)

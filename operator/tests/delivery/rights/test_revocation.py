@@ -130,7 +130,7 @@ def test_what_a_revoked_agent_connects_once_more_is_ended_at_the_next_look(
     ask = stage.control.ask
 
     def noting(requests: Sequence[Mapping[str, Any]]) -> Any:
-        asked.append([f"{one['command']} {one.get('username', '')}".strip() for one in requests])
+        asked.append([f"{request['command']} {request.get('username', '')}".strip() for request in requests])
         return ask(requests)
 
     monkeypatch.setattr(stage.control, "ask", noting)

@@ -257,7 +257,7 @@ def test_who_is_revoked_has_no_rights_and_a_shut_account() -> None:
 def test_accounts_are_shut_as_main_says(shut: Sequence[str], revoked: Sequence[str] | None, requests: object) -> None:
     standing = Standing(ROLES, {**CLIENTS, **{name: Client((name,), (), True) for name in shut}})
     changes = access_changes(standing, ROLES, revoked)
-    assert [(one.request["command"], one.request["username"], one.was) for one in changes] == requests
+    assert [(change.request["command"], change.request["username"], change.was) for change in changes] == requests
 
 
 RESERVED = replace(ACCOUNTS, agents=(*ACCOUNTS.agents, AgentAccount("vehicle-16", "", "vehicle-16")))

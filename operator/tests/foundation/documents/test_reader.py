@@ -27,7 +27,7 @@ Read = Callable[[MappingReader], Any]
         (["a", "b"], lambda item: item.texts("key", 2), ("a", "b")),
         ({"any": 1}, lambda item: item.any_mapping("key"), {"any": 1}),
         ({"inner": "a"}, lambda item: item.mapping("key").text("inner"), "a"),
-        ([{"inner": "a"}], lambda item: [one.text("inner") for one in item.mappings("key", 1)], ["a"]),
+        ([{"inner": "a"}], lambda item: [mapping.text("inner") for mapping in item.mappings("key", 1)], ["a"]),
     ],
 )
 def test_a_value_that_fits_is_read(value: Any, read: Read, expected: Any) -> None:

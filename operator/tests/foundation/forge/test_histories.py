@@ -78,13 +78,13 @@ def test_main_goes_back_to_where_it_stood_when_that_is_known(stage: Stage) -> No
     side = stage.commit({"a": "1", "c": "1"}, first)
     merge = stage.commit({"a": "1", "b": "1", "c": "1"}, side, second)
     history = GitHistory(stage.folder)
-    along_parents = [(one.id, dict(one.changes)) for one in history.commits({})]
+    along_parents = [(commit.id, dict(commit.changes)) for commit in history.commits({})]
     assert along_parents == [(first, {"a": "1"}), (side, {"c": "1"}), (merge, {"b": "1"})]
-    moves = [(one.id, dict(one.changes)) for one in history.commits({merge: second})]
+    moves = [(commit.id, dict(commit.changes)) for commit in history.commits({merge: second})]
     assert moves == [(first, {"a": "1"}), (second, {"b": "1"}), (merge, {"c": "1"})]
     assert history.brought(merge) == 1
     for nowhere in ("9" * 40, merge):
-        assert [one.id for one in history.commits({merge: nowhere})] == [first, side, merge]
+        assert [commit.id for commit in history.commits({merge: nowhere})] == [first, side, merge]
 
 
 def test_a_commit_that_changes_too_much_says_so(stage: Stage) -> None:

@@ -77,7 +77,7 @@ def test_what_somebody_starts_beside_a_kubelet_is_named_until_it_ends(platform: 
     assert "containers: 2 STARTED BESIDE THE KUBELETS" in said
     assert f"container default/{FOREIGN} on node {NODE}" in said
     events = platform.get("-n", "robotkube", "events.events.k8s.io")["items"]
-    assert [one for one in events if one["reason"] == "BesideTheKubelet" and FOREIGN in one.get("note", "")]
+    assert [event for event in events if event["reason"] == "BesideTheKubelet" and FOREIGN in event.get("note", "")]
     for namespace in NAMESPACES:
         ctr(namespace, "tasks", "kill", "--signal", "SIGKILL", FOREIGN)
         eventually("it has ended", lambda namespace=namespace: "STOPPED" in ctr(namespace, "tasks", "list"))

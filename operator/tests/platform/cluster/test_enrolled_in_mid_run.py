@@ -115,7 +115,7 @@ def starts(platform: Platform) -> dict[str, int]:
     times = {}
     for pod in platform.get("-n", NAMESPACE, "pods")["items"]:
         statuses = pod["status"].get("containerStatuses", ())
-        times[pod["metadata"]["name"]] = sum(one["restartCount"] for one in statuses)
+        times[pod["metadata"]["name"]] = sum(status["restartCount"] for status in statuses)
     return times
 
 

@@ -54,7 +54,7 @@ def is_told(platform: Platform, looks_at: str, reason: str, words: str) -> None:
     series = [line for line in page.splitlines() if line.startswith("robotkube_inspection_strangers{")]
     assert [line for line in series if f'looks_at="{looks_at}"' in line and f'reason="{reason}"' in line], page
     events = platform.get("-n", "robotkube", "events.events.k8s.io")["items"]
-    assert [one for one in events if one["reason"] == reason and words in one.get("note", "")]
+    assert [event for event in events if event["reason"] == reason and words in event.get("note", "")]
 
 
 def nothing_strange(platform: Platform) -> bool:
@@ -188,5 +188,5 @@ def test_a_container_that_somebody_starts_in_a_known_pod_is_named(platform: Plat
         remove_container(runtime(platform), container)
     eventually("it is gone", lambda: not reasons(platform, KUBELET), NAMED_SECONDS_MAX)
     events = platform.get("-n", "robotkube", "events.events.k8s.io")["items"]
-    assert [one for one in events if one["reason"] == "StrangerGone" and "foreign" in one.get("note", "")]
+    assert [event for event in events if event["reason"] == "StrangerGone" and "foreign" in event.get("note", "")]
     eventually("all is clean", lambda: nothing_strange(platform), SETTLED_SECONDS_MAX)

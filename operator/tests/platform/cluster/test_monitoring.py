@@ -65,14 +65,18 @@ def pods_with_pages(platform: Platform) -> set[str]:
 def test_it_reads_every_pod_that_has_a_page(platform: Platform, watching: Prometheus) -> None:
     def all_read() -> bool:
         targets = watching.targets()
-        up = {f"{one['labels']['namespace']}/{one['labels']['pod']}" for one in targets if one["health"] == "up"}
+        up = {
+            f"{target['labels']['namespace']}/{target['labels']['pod']}"
+            for target in targets
+            if target["health"] == "up"
+        }
         wanted = pods_with_pages(platform)
         return bool(wanted) and up == wanted
 
-    eventually("every pod is read", all_read, state=lambda: [one["lastError"] for one in watching.targets()])
-    jobs = {one["labels"]["job"] for one in watching.targets()}
+    eventually("every pod is read", all_read, state=lambda: [target["lastError"] for target in watching.targets()])
+    jobs = {target["labels"]["job"] for target in watching.targets()}
     assert {"manager", "gate", "suite-runner", "inspector", "rights", "certificates", "mqtt-bridge"} <= jobs
-    assert any(one["labels"].get("robotkube_io_agent") == AGENT for one in watching.targets())
+    assert any(target["labels"].get("robotkube_io_agent") == AGENT for target in watching.targets())
 
 
 def test_every_metric_of_dashboards_and_alerts_is_there(watching: Prometheus) -> None:

@@ -111,7 +111,7 @@ def test_every_pod_reaches_whom_the_policies_say_and_nobody_else(
     assert {key.split("/")[0] for key in pods} >= {"robotkube", "robotkube-gate", "argocd", "cloud-0", "vehicle-00"}
 
     def difference(own: Attached) -> set[Reach]:
-        others = [host(platform), *(one.peer for one in pods.values() if one.key != own.key)]
+        others = [host(platform), *(pod.peer for pod in pods.values() if pod.key != own.key)]
         wanted = said(policies, own.peer, others)
         return found(own.key, own.namespace, others, wanted) ^ wanted
 
@@ -122,7 +122,7 @@ def test_every_pod_reaches_whom_the_policies_say_and_nobody_else(
 def test_the_machine_reaches_whom_the_policies_say_and_nobody_else(
     platform: Platform, pods: Mapping[str, Attached], policies: list[NetworkPolicy]
 ) -> None:
-    others = [one.peer for one in pods.values()]
+    others = [pod.peer for pod in pods.values()]
     wanted = said(policies, host(platform), others)
     assert found("host", OWN_NAMESPACE, others, wanted) == wanted
 
@@ -135,7 +135,7 @@ def test_a_vehicle_reaches_its_own_and_the_broker_alone(
         return
     [own] = [one for key, one in pods.items() if key.startswith("vehicle-00/mqtt-bridge")]
     [broker] = [key for key in pods if key.startswith("robotkube/broker")]
-    others = [host(platform), *(one.peer for one in pods.values() if one.peer.namespace != "vehicle-00")]
+    others = [host(platform), *(pod.peer for pod in pods.values() if pod.peer.namespace != "vehicle-00")]
     wanted = {(own.key, broker, 8883), (own.key, "host", 53), (own.key, "host", 6443)}
     assert found(own.key, own.namespace, others, wanted) == wanted
 

@@ -104,7 +104,7 @@ def test_a_broken_file_is_named_reverted_and_the_next_plan_observed(
 def named(stage: Stage, key: str) -> bool:
     """Return whether the task's conditions name the broken file."""
     conditions = (stage.condition(key, COMMITTED), stage.condition(key))
-    return any(one.get("reason") == "MainBroken" and BROKEN in one["message"] for one in conditions)
+    return any(condition.get("reason") == "MainBroken" and BROKEN in condition["message"] for condition in conditions)
 
 
 def repair_of(stage: Stage, broken: str) -> Commit | None:

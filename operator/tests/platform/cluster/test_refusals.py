@@ -64,7 +64,7 @@ def test_the_application_set_says_what_is_refused(platform: Platform, refused: W
     def said() -> str:
         status = platform.get("-n", "argocd", "applicationset", "releases").get("status", {})
         errors = [one for one in status.get("conditions", []) if one["type"] == "ErrorOccurred"]
-        return "".join(one["message"] for one in errors if one["status"] == "True")
+        return "".join(error["message"] for error in errors if error["status"] == "True")
 
     message = eventually("the ApplicationSet has an error", said, REFUSED_SECONDS_MAX)
     assert f"Application {AGENT}-everything is of " in message

@@ -65,7 +65,7 @@ def nothing_left(platform: Platform, inspection: str) -> None:
 
 def said(platform: Platform, reason: str, words: str) -> bool:
     events = platform.get("-n", "robotkube", "events.events.k8s.io")["items"]
-    return any(one["reason"] == reason and words in one.get("note", "") for one in events)
+    return any(event["reason"] == reason and words in event.get("note", "") for event in events)
 
 
 def own_container(platform: Platform) -> Object:

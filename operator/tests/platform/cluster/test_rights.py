@@ -160,10 +160,10 @@ def test_only_the_gate_stands_where_its_key_is(platform: Platform) -> None:
     pods = platform.get("-n", GATE_NAMESPACE, "pods")["items"]
     assert {pod["metadata"]["labels"]["app.kubernetes.io/name"] for pod in pods} == {"gate"}
     secrets = platform.get("secrets", "-A")["items"]
-    [key] = [one for one in secrets if one["metadata"]["name"] == KEY_SECRET]
+    [key] = [secret for secret in secrets if secret["metadata"]["name"] == KEY_SECRET]
     assert key["metadata"]["namespace"] == GATE_NAMESPACE
     body = base64.b64decode(key["data"]["key.pem"]).decode().splitlines()[1]
-    assert [one["metadata"]["name"] for one in secrets if body in texts(one)] == [KEY_SECRET]
+    assert [secret["metadata"]["name"] for secret in secrets if body in texts(secret)] == [KEY_SECRET]
 
 
 def texts(secret: Mapping[str, Any]) -> str:

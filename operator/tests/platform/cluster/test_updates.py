@@ -151,7 +151,7 @@ def test_a_version_that_fails_in_the_field_is_taken_back(platform: Platform, sta
 def is_ready(platform: Platform, node: str) -> bool:
     """Return whether Kubernetes says that the node is ready."""
     conditions = platform.get("node", node)["status"]["conditions"]
-    return any(one["type"] == "Ready" and one["status"] == "True" for one in conditions)
+    return any(condition["type"] == "Ready" and condition["status"] == "True" for condition in conditions)
 
 
 def settled(platform: Platform, stage: Stage) -> str:

@@ -47,7 +47,7 @@ def assert_hidden_vehicle_is_known(stage: Stage) -> None:
     objects = stage.receive(ON_THE_VEHICLE, "/vehicles/roadside_0/objects", POSES, COUNT)
     for message in objects:
         assert message.header.frame_id == "roadside_0/lidar_center"
-        assert hidden_among(SITE, [(one.position.x, one.position.y) for one in message.poses])
+        assert hidden_among(SITE, [(pose.position.x, pose.position.y) for pose in message.poses])
     [*_, answer] = stage.receive(ON_THE_VEHICLE, "/vehicles/roadside_0/tracks", TEXT, COUNT)
     assert hidden_among(SITE, [(one["x"], one["y"]) for one in json.loads(answer.data)["tracks"]])
 
@@ -60,7 +60,7 @@ def test_an_operator_launches_an_operator_that_launches_perception(stage: Stage)
             stage.await_running(*LAUNCHED)
             [parent] = stage.tasks("cloud-0")
             with seeing(stage, CLEAR):
-                assert all(0 < one < BELOW for one in uncertainties(stage))
+                assert all(0 < uncertainty < BELOW for uncertainty in uncertainties(stage))
                 assert stage.tasks(VEHICLE) == {}
                 assert not set(SITE_SERVICES) & set(stage.releases())
             with seeing(stage, BLOCKED, SITES):

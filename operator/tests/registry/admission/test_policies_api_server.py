@@ -278,7 +278,7 @@ def test_no_kind_of_the_api_makes_pods_unseen(api: Api) -> None:
     while more := {name for name, one in definitions.items() if name not in holding and holding & references(one)}:
         holding |= more
     kinds = [one for name in holding for one in definitions[name].get("x-kubernetes-group-version-kind", ())]
-    assert {one["kind"] for one in kinds if not one["kind"].endswith("List")} == {"Pod", *KINDS}
+    assert {kind["kind"] for kind in kinds if not kind["kind"].endswith("List")} == {"Pod", *KINDS}
 
 
 def references(value: Any) -> set[str]:

@@ -73,7 +73,7 @@ def test_every_digest_is_the_same(bundle: Bundle, pushed: str, client: OciRegist
         repository = f"{PATH}/{item.repository}"
         assert client.manifest_digest(repository, item.tag) == item.digest, item
         assert client.manifest(repository, item.digest) == bundle.read(item.digest)
-        attached = {one.digest for one in client.attachments(repository, item.digest)}
+        attached = {attachment.digest for attachment in client.attachments(repository, item.digest)}
         assert attached == {one.digest for one in item.attached}, item
     assert client.manifest_digest(f"{PATH}/bundle", bundle.contents.version) == bundle.digest
     names = {item.name for item in bundle.contents.of(IMAGE)}

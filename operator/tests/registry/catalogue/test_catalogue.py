@@ -218,7 +218,7 @@ def test_results_go_to_who_is_named(sensor: str, receiver: str, topic: str) -> N
     parameters = {"sensor": sensor, "receivers": [receiver]}
     where = "cloud-0" if sensor == "vehicle-00" else sensor
     releases = everything({"object-detection": parameters}, perceiving=where).values()
-    hearing = {one.key: brought_in(one) for one in releases}
+    hearing = {release.key: brought_in(release) for release in releases}
     assert topic in hearing[f"{receiver}/mqtt-bridge"]
     assert hearing[f"{sensor}/mqtt-bridge"] == set()
 

@@ -196,7 +196,7 @@ def test_a_wrong_key_of_an_entry_hides_neither_its_templates_nor_what_others_ask
         put(RECORDING, "spec.services[0].values.detector.typo", 1),
         put(RECORDING, "spec.services[0].chart.version", ">=0.9.0"),
     )(few)
-    places = [(Path(one.file).name, one.key) for one in findings(few, charts=True)]
+    places = [(Path(finding.file).name, finding.key) for finding in findings(few, charts=True)]
     assert places == [
         ("pose-point-cloud-recording.yaml", "spec.services[0].chart.version"),
         ("0.2.3.yaml", "spec.interfaces[0].name"),
@@ -209,7 +209,7 @@ def test_a_wrong_key_of_an_entry_hides_neither_its_templates_nor_what_others_ask
 def test_values_are_compared_with_a_chart_whose_entry_cannot_be_read(few: Path) -> None:
     (few / DETECTOR).write_text("a: [")
     put(RECORDING, "spec.services[0].values.detector.typo", 1)(few)
-    places = [(Path(one.file).name, one.key) for one in findings(few, charts=True)]
+    places = [(Path(finding.file).name, finding.key) for finding in findings(few, charts=True)]
     assert places == [
         ("pose-point-cloud-recording.yaml", "spec.services[0].values.detector"),
         ("0.2.3.yaml", "document"),
@@ -220,7 +220,7 @@ def test_every_file_of_a_chart_is_read(few: Path) -> None:
     chart = few / "charts" / "event-detector"
     for name, text in (("Chart.yaml", "name: a b\n"), ("values.yaml", "a: ["), ("values.schema.json", "{")):
         (chart / name).write_text(text)
-    places = [(Path(one.file).name, one.text.partition(": ")[0]) for one in findings(few, charts=True)]
+    places = [(Path(finding.file).name, finding.text.partition(": ")[0]) for finding in findings(few, charts=True)]
     assert places == [
         ("Chart.yaml", "name 'a b' is malformed; write the name of the folder"),
         ("Chart.yaml", "version is missing; write one such as 0.1.0"),

@@ -101,7 +101,7 @@ def test_what_is_attached_comes_back_in_order_and_once(registry: OciRegistry, st
     second = attach(registry, staging, "images")
     assert attach(registry, staging, "static") == first
     attachments = registry.attachments(staging, chart().digest)
-    assert [one.digest for one in attachments] == [first, second]
+    assert [attachment.digest for attachment in attachments] == [first, second]
     assert attachments[0].data == canonical_json({"envelope": "static"})
     assert (attachments[0].artifact_type, attachments[0].annotations) == (
         ENVELOPE_MEDIA_TYPE,
@@ -137,7 +137,7 @@ def test_two_at_once_keep_both(forge_process: ForgeProcess, registry: OciRegistr
 
     with ThreadPoolExecutor(TOGETHER) as pool:
         digests = list(pool.map(one, range(TOGETHER)))
-    assert sorted(one.digest for one in registry.attachments(staging, chart().digest)) == sorted(digests)
+    assert sorted(attachment.digest for attachment in registry.attachments(staging, chart().digest)) == sorted(digests)
     assert sorted(attached(registry, staging)) == [f"suite-{number}" for number in range(TOGETHER)]
 
 
@@ -159,7 +159,7 @@ def test_a_chart_is_copied_with_the_named_attachments_and_no_others(
     assert registry.manifest_digest(target, TAG) == digest
     assert registry.pull_chart(target, digest).archive == chart().archive
     assert attached(registry, target) == ["static", "summary"]
-    assert [one.digest for one in registry.attachments(target, digest)] == ours
+    assert [attachment.digest for attachment in registry.attachments(target, digest)] == ours
     assert attached(registry, staging) == ["static", "summary", "by-a-publisher"]
 
 
@@ -172,7 +172,7 @@ def test_a_copy_adds_to_what_is_attached_there(
     registry.copy_chart(staging, target, digest, TAG, [first])
     second = attach(registry, staging, "static-under-the-next-policy")
     registry.copy_chart(staging, target, digest, TAG, [second])
-    assert [one.digest for one in registry.attachments(target, digest)] == [first, second]
+    assert [attachment.digest for attachment in registry.attachments(target, digest)] == [first, second]
 
 
 def test_a_tag_is_never_overwritten_by_a_copy(

@@ -125,7 +125,7 @@ def attach(registry: OciRegistry, name: str) -> str:
 
 
 def names(registry: OciRegistry) -> list[str]:
-    return [one.annotations["name"] for one in registry.attachments(STAGING, CHART.digest)]
+    return [attachment.annotations["name"] for attachment in registry.attachments(STAGING, CHART.digest)]
 
 
 def test_an_honest_registry_gives_the_chart(registry: OciRegistry) -> None:

@@ -26,9 +26,9 @@ def test_both_ways_give_the_same(lists: bool) -> None:
     with running(asking), OciRegistry(asking.url, USER, PASSWORD) as registry:
         registry.push_chart("robots", CHART)
         digests = {attach(registry, text) for text in ("static", "images")}
-        assert {one.digest for one in registry.attachments("robots/app", CHART.digest)} == digests
+        assert {attachment.digest for attachment in registry.attachments("robots/app", CHART.digest)} == digests
         registry.copy_chart("robots/app", "verified/app", CHART.digest, "0.1.0", digests)
-        assert {one.digest for one in registry.attachments("verified/app", CHART.digest)} == digests
+        assert {attachment.digest for attachment in registry.attachments("verified/app", CHART.digest)} == digests
         written = len(asking.manifests)
         attach(registry, "static")
         assert len(asking.manifests) == written
@@ -60,7 +60,7 @@ def test_a_list_in_pages_is_read_to_its_end() -> None:
     with running(asking), OciRegistry(asking.url, USER, PASSWORD) as registry:
         registry.push_chart("robots", CHART)
         digests = {attach(registry, str(number)) for number in range(5)}
-        assert {one.digest for one in registry.attachments("robots/app", CHART.digest)} == digests
+        assert {attachment.digest for attachment in registry.attachments("robots/app", CHART.digest)} == digests
 
 
 def test_a_list_without_end_is_cut_off() -> None:

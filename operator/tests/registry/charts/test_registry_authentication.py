@@ -62,7 +62,7 @@ def client(asking: AskingRegistry, user: str = USER, password: str = PASSWORD) -
     ],
 )
 def test_challenges_are_read(header: str, expected: list[tuple[str, dict[str, str]]]) -> None:
-    challenges = [(one.scheme, dict(one.parameters)) for one in read_challenges([header])]
+    challenges = [(challenge.scheme, dict(challenge.parameters)) for challenge in read_challenges([header])]
     assert [(scheme, parameters) for scheme, parameters in challenges][: len(expected)] == expected
 
 

@@ -118,7 +118,8 @@ def test_a_failed_suite_refuses_with_check_finding_and_fix(stage: PublicationSta
     assert entry_path(packed) not in stage.main()
     assert "verified/relay" not in stage.registry.charts
     attached = {
-        one.annotations["robotkube.io/suite"]: one for one in stage.registry.attachments("staging/relay", packed.digest)
+        attachment.annotations["robotkube.io/suite"]: attachment
+        for attachment in stage.registry.attachments("staging/relay", packed.digest)
     }
     plain = {"static", "images"}
     assert set(attached) == (plain if suite in plain else set(SUITES))

@@ -375,7 +375,7 @@ def test_a_gate_killed_anywhere_is_finished_by_the_next(
         publishing.stop()
     assert [outcome.verdict for outcome in outcomes] == [PUBLISHED]
     with registry_of(installation, "manager") as registry:
-        attached = {sha256(one.data) for one in registry.attachments(f"verified/{name}", packed.digest)}
+        attached = {sha256(attachment.data) for attachment in registry.attachments(f"verified/{name}", packed.digest)}
     assert {sha256(text.encode()) for text in outcomes[0].evidence.values()} <= attached
 
 

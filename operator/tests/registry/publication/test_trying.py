@@ -98,7 +98,7 @@ def tried(
 
 def test_each_suite_of_the_policy_is_run_or_said_why_not(charts: list[ChartSource]) -> None:
     rows = tried(charts[:1], Told("static", Check("a", True)), Told("images", Check("b", True)))
-    assert [(one.suite, one.outcome, one.reason) for one in rows] == [
+    assert [(row.suite, row.outcome, row.reason) for row in rows] == [
         ("static", "passed", ""),
         ("images", "not run", "no reference of image ros"),
         ("interface", "not run", ON_THE_PLATFORM),
@@ -128,11 +128,11 @@ def test_an_interruption_stops_what_runs_on_the_cluster(charts: list[ChartSource
 
 def test_what_is_lacking_is_said_of_every_chart(charts: list[ChartSource]) -> None:
     rows = tried(charts, Told("static"), lacking={"static": "no helm", "images": "no platform"})
-    assert {(one.suite, one.reason) for one in rows if one.suite in OWN} == {
+    assert {(row.suite, row.reason) for row in rows if row.suite in OWN} == {
         ("static", "no helm"),
         ("images", "no platform"),
     }
-    assert [one.chart for one in rows if one.suite == "static"] == [f"delivery-{service}" for service in SERVICES]
+    assert [row.chart for row in rows if row.suite == "static"] == [f"delivery-{service}" for service in SERVICES]
 
 
 @pytest.mark.parametrize(

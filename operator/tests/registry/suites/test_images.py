@@ -187,8 +187,8 @@ def test_an_image_for_another_platform(registry: MemoryRegistry) -> None:
 def test_an_index_is_read_for_every_platform_of_the_entry(registry: MemoryRegistry) -> None:
     names = (("linux", "amd64"), ("linux", "arm64"))
     manifests = [
-        {"digest": registry.image(bill=False, platform=one), "platform": {"os": one[0], "architecture": one[1]}}
-        for one in names
+        {"digest": registry.image(bill=False, platform=name), "platform": {"os": name[0], "architecture": name[1]}}
+        for name in names
     ]
     index = registry.put({"manifests": manifests})
     registry.attach(index, bill_of(index))

@@ -48,7 +48,7 @@ class Reporter(BridgeStage):
 def faults(report: LinkReport | None) -> dict[tuple[str, str], str]:
     assert report is not None
     assert (report.release, report.pod, report.started_ns) == (RELEASE, "mqtt-bridge-1", 7)
-    return {(one.direction, one.topic): one.reason for one in report.faults}
+    return {(fault.direction, fault.topic): fault.reason for fault in report.faults}
 
 
 def test_while_everything_is_carried_nothing_is_said() -> None:

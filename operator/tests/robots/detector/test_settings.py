@@ -58,7 +58,7 @@ def test_a_good_document_is_read() -> None:
     assert recording.after_seconds == 1.5
     assert (settings.topics[0].buffer_seconds, settings.topics[1].depth) == (5, 20)
     assert settings.deliveries == tuple(others)
-    assert [one.name for one in settings.deliveries] == [
+    assert [delivery.name for delivery in settings.deliveries] == [
         "webhook near example.org", "mqtt near events/near", "python near whisper",
     ]  # fmt: skip
 

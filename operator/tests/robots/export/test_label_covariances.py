@@ -88,7 +88,7 @@ class Bag:
         self._messages.append(("/cloud", stamp, lidar_clouds.cloud(stamp=stamp, points=100)))
 
     def messages(self, wanted: Collection[str] | None = None) -> Iterator[tuple[str, int, bytes]]:
-        return iter([one for one in self._messages if wanted is None or one[0] in wanted])
+        return iter([message for message in self._messages if wanted is None or message[0] in wanted])
 
 
 def label(

@@ -44,13 +44,13 @@ def test_the_box_holds_the_other_vehicles_points(made: Mapping[str, Path]) -> No
     counts = LabellingCounts()
     shown = held = 0
     with Bags(list(made.values()), pytest.fail) as opened:
-        for one in label_clouds(opened, opened.layouts, LabellingSettings(distance_m=300.0), counts):
-            points = np.array([one.cloud.x, one.cloud.y, one.cloud.z], np.float64).T
-            vehicle = points[np.array(one.cloud.intensity, np.float32) == np.float32(VEHICLE)]
+        for cloud in label_clouds(opened, opened.layouts, LabellingSettings(distance_m=300.0), counts):
+            points = np.array([cloud.cloud.x, cloud.cloud.y, cloud.cloud.z], np.float64).T
+            vehicle = points[np.array(cloud.cloud.intensity, np.float32) == np.float32(VEHICLE)]
             if not len(vehicle):
                 continue
             shown += 1
-            (label,) = one.labels
+            (label,) = cloud.labels
             cosine = np.cos(label.heading)
             sine = np.sin(label.heading)
             offset = vehicle - np.array(label.position)

@@ -32,9 +32,9 @@ OBJECTS, TRACKS = "/vehicles/roadside_0/objects", "/vehicles/roadside_0/tracks"
 def fleet_of(folder: Path, *agents: tuple[str, str, str]) -> Stage:
     """A manager for a vehicle, a cloud and further agents: name, role and the capability that each has."""
     stage = Stage(folder, vehicles=1)
-    others = [one for one in stage.settings.agents if one.name not in {name for name, _, _ in agents}]
+    others = [agent for agent in stage.settings.agents if agent.name not in {name for name, _, _ in agents}]
     stage.settings = replace(stage.settings, agents=(*others, *(Agent(name, role, name) for name, role, _ in agents)))
-    machines = [one for one in stage.cluster.machines if one.name not in {name for name, _, _ in agents}]
+    machines = [machine for machine in stage.cluster.machines if machine.name not in {name for name, _, _ in agents}]
     stage.cluster.machines[:] = [*machines, *(NodeState(n, n, role, frozenset({c}), True) for n, role, c in agents)]
     stage.manager = stage.start()
     stage.settle()
@@ -85,7 +85,7 @@ def test_a_blocked_view_brings_what_the_road_side_unit_sees_to_the_vehicle(tmp_p
             running.follow()
             for message in running.receive(VEHICLE, OBJECTS, POSES, 5):
                 assert message.header.frame_id == "roadside_0/lidar_center"
-                assert hidden_among(SITE, [(one.position.x, one.position.y) for one in message.poses])
+                assert hidden_among(SITE, [(pose.position.x, pose.position.y) for pose in message.poses])
             tracks = json.loads(running.receive(VEHICLE, TRACKS, TEXT)[-1].data)["tracks"]
             assert hidden_among(SITE, [(track["x"], track["y"]) for track in tracks])
         with running.publishing(VEHICLE, seen(CLEAR)):

@@ -126,7 +126,7 @@ class Here:
 
 
 def test_what_came_before_an_event_is_in_its_recording(way: RecordedPath) -> None:
-    (document,) = [one for one in way.reader.recordings() if one["_id"] != RECORDING]
+    (document,) = [recording for recording in way.reader.recordings() if recording["_id"] != RECORDING]
     (cause,) = document["causes"]
     assert (document["_id"], cause["rule"]) == (f"{ENCOUNTER}-{cause['event'][:8]}", "near")
     assert cause["agents"] == list(AGENTS)

@@ -70,7 +70,7 @@ def test_no_answer_about_large_buckets_is_large(database_server: Any) -> None:
         stamps = [second * 10**9 + number for number in range(5)]
         messages = [Received("/p", stamp, stamp, f"{stamp:064x}", bytes(MESSAGE_BYTES)) for stamp in stamps]
         buckets = bucket_documents("task-1", messages)
-        store.write([Write(SAMPLES, one["_id"], one, size=5 * MESSAGE_BYTES) for one in buckets])
+        store.write([Write(SAMPLES, bucket["_id"], bucket, size=5 * MESSAGE_BYTES) for bucket in buckets])
     answers.sizes.clear()
     assert len(list(PymongoRecordingReader(database).buckets("task-1"))) == BUCKETS
     assert sum(answers.sizes) == BUCKETS * 5 * MESSAGE_BYTES

@@ -179,7 +179,7 @@ class History:
     def examined(self) -> list[TopicExamination]:
         stored = stored_messages(self.database, self.volume, RECORDING)
         audits = add_up(self.database.audits(RECORDING))
-        audited = {(one["topic"], one["life"]) for one in self.database.audits(RECORDING)}
+        audited = {(audit["topic"], audit["life"]) for audit in self.database.audits(RECORDING)}
         # a process that was killed before it could leave anything anywhere has no audit, and nobody can know of it
         ledgers = {
             topic: [line for line, life in zip(lines, self.lives[topic], strict=True) if (topic, life) in audited]

@@ -199,7 +199,7 @@ def test_a_key_that_no_manifest_has_is_named() -> None:
     process = place.process()
     place.offer(*process, steps=10)
     place.end(*process)
-    first, second = (one["key"] for one in manifests(place))
+    first, second = (manifest["key"] for manifest in manifests(place))
     assert place.verified((first, second)).refusal == ""
     place.database.collections = before
     place.volume.noted.clear()

@@ -120,7 +120,11 @@ def test_a_problem_is_logged_once_until_it_is_another_one_or_ends(
         return frozenset({"127.0.0.7"})
 
     def logged() -> list[tuple[str, str]]:
-        return [(one.levelname, one.getMessage()) for one in caplog.records if one.name == unicast_discovery.__name__]
+        return [
+            (record.levelname, record.getMessage())
+            for record in caplog.records
+            if record.name == unicast_discovery.__name__
+        ]
 
     def after_looks(number: int, address: str) -> None:
         own[0] = address

@@ -65,7 +65,7 @@ def node(name: str, role: str = "vehicle", **spec: Any) -> Object:
 def argo_cd(**replaced: Any) -> ArgoCd:
     """Argo CD as its own manifests install it; `replaced` are whole workloads by their part, None for none."""
     workloads = {part: part_of_argo_cd(part) for part in PARTS} | replaced
-    present = [one for one in workloads.values() if one]
+    present = [workload for workload in workloads.values() if workload]
     return ArgoCd("argocd", frozenset(DEFINITIONS), present, {"server.insecure": "true"}, frozenset({80, 443}))
 
 

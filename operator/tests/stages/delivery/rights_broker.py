@@ -60,7 +60,12 @@ class RightsBroker:
         self.log = folder / "log"
         self._process: subprocess.Popen[bytes] | None = None
         self.file.parent.mkdir(parents=True)
-        names = [OWNER, OBSERVER, *(agent.name for agent in accounts.agents), *(one.name for one in accounts.managers)]
+        names = [
+            OWNER,
+            OBSERVER,
+            *(agent.name for agent in accounts.agents),
+            *(manager.name for manager in accounts.managers),
+        ]
         self.passwords.write_text("".join(f"{name}:{password(name)}\n" for name in names))
         self.tls = ServerVerification(folder / "ca.crt", "broker") if encrypted else None
         certificate = self._certify() if encrypted else ""

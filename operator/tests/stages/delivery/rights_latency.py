@@ -61,7 +61,7 @@ def until(condition: Callable[[], object], what: str) -> None:
 def forge_of_rights(forge: ForgeProcess, passwords: dict[str, str], webhook: str, secret: str) -> None:
     """Accounts and the deployment repository, whose pushes are announced to the process that keeps rights."""
     made: ForgeSetup = forge_setup(passwords, webhook)
-    deployment = next(one for one in made.repositories if one.name == REPOSITORY)
+    deployment = next(repository for repository in made.repositories if repository.name == REPOSITORY)
     readable = replace(deployment, access={**deployment.access, "rights": "read"})
     setup = replace(made, repositories=(readable,), webhooks=(Webhook(REPOSITORY, webhook, ("push",), secret),))
     administration = GiteaAdministration(forge.url, forge.administrator, forge.administrator_password)

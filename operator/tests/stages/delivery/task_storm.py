@@ -173,7 +173,7 @@ def alive(pod: Pod) -> bool:
 def is_committed(task: dict[str, Any]) -> bool:
     """Return whether the task's status says that it is on main."""
     conditions = task.get("status", {}).get("conditions", [])
-    return any(one["type"] == "Committed" and one["status"] == "True" for one in conditions)
+    return any(condition["type"] == "Committed" and condition["status"] == "True" for condition in conditions)
 
 
 def decisions(pod: Pod) -> float:

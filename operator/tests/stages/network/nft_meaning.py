@@ -134,7 +134,7 @@ def read(text: str) -> dict[str, Table]:
             if kind == "set":
                 table.sets[name] = elements
             elif kind == "map":
-                table.maps[name] = dict(one.split(" : ") for one in elements)
+                table.maps[name] = dict(element.split(" : ") for element in elements)
             else:
                 lines = [line.strip() for line in content.splitlines()]
                 if hook := HOOK.fullmatch(lines[0]):

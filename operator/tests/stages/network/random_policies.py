@@ -110,6 +110,6 @@ POLICIES: st.SearchStrategy[list[NetworkPolicy]] = DOCUMENTS.map(lambda made: [r
 
 def network(policies: Sequence[NetworkPolicy], pods: Sequence[PlacedPod] = tuple(PODS)) -> Network:
     """The rules of both nodes, read again."""
-    book = Rulebook(policies, [one.peer for one in pods])
-    texts = {node: book.node([AttachedPod(one.port, one.peer) for one in pods if one.node == node]) for node in NODES}
+    book = Rulebook(policies, [pod.peer for pod in pods])
+    texts = {node: book.node([AttachedPod(pod.port, pod.peer) for pod in pods if pod.node == node]) for node in NODES}
     return Network({node: read(text) for node, text in texts.items()})

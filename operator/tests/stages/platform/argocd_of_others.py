@@ -39,7 +39,7 @@ def _objects(place: str, bundled: Mapping[str, str]) -> Iterator[dict[str, Any]]
         if document["kind"] in WORKLOADS:
             pod = document["spec"]["template"]["spec"]
             containers = [*pod.get("initContainers", ()), *pod["containers"]]
-            if not all(_repository(one) in IMAGES for one in containers):
+            if not all(_repository(container) in IMAGES for container in containers):
                 continue
             for one in containers:
                 name, tag = IMAGES[_repository(one)], one["image"].rpartition(":")[2]

@@ -63,7 +63,7 @@ def _attempt(*command: str, seconds: float) -> subprocess.CompletedProcess[str]:
 def _machine(name: str, nodes: Sequence[NodeSpec]) -> NodeSpec:
     """A machine as large as these nodes of a scenario, but not larger than this one, with the volumes that the last
     one's role has."""
-    cpu, memory = sum(one.cpu_millicores for one in nodes), sum(one.memory_bytes for one in nodes)
+    cpu, memory = sum(node.cpu_millicores for node in nodes), sum(node.memory_bytes for node in nodes)
     cpu = min(cpu, 1000 * (os.cpu_count() or 1))
     memory = min(memory, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     return replace(nodes[-1], name=name, cpu_millicores=cpu, memory_bytes=memory)

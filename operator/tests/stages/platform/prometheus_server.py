@@ -105,7 +105,7 @@ def running(
             "evaluation_interval": f"{SECONDS}s",
         },
         "rule_files": [str(folder / "rules.yaml")],
-        "scrape_configs": [scrape(one, kubeconfig) for one in monitors],
+        "scrape_configs": [scrape(monitor, kubeconfig) for monitor in monitors],
     }
     (folder / "prometheus.yaml").write_text(yaml.safe_dump(settings), encoding="utf-8")
     address = f"127.0.0.1:{free_port()}"

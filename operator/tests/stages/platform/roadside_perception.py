@@ -55,7 +55,7 @@ def play(stage: Stage) -> RoadsidePerception:
     pods = stage.await_running(DETECTION, TRACKING)
     releases = stage.releases_of(task)
     made = _commits(stage)
-    charts, digests = ({one: stage.annotation(one, name) for one in pods} for name in ("chart", "chart-digest"))
+    charts, digests = ({pod: stage.annotation(pod, name) for pod in pods} for name in ("chart", "chart-digest"))
     with stage.publishing(TRACKING, (cloud_topic(SITE), messages.CLOUD_TYPE, cloud()), hertz=5):
         [*_, objects] = stage.receive(TRACKING, "/vehicles/roadside_0/objects", POSES, MESSAGES)
         [*_, answer] = stage.receive(DETECTION, "/vehicles/roadside_0/tracks", TEXT, MESSAGES)

@@ -92,7 +92,7 @@ class Stage:
     def tasks(self, namespace: str) -> dict[str, Mapping[str, Any]]:
         """The tasks of a namespace by key."""
         documents = [one for one in self.platform.access.tasks() if one["metadata"]["namespace"] == namespace]
-        return {f"{namespace}/{one['metadata']['name']}": one for one in documents}
+        return {f"{namespace}/{document['metadata']['name']}": document for document in documents}
 
     def standing(self) -> set[str]:
         """Releases on main; fails while one names a task that is gone: the next plan takes it away."""

@@ -79,7 +79,7 @@ class DatabaseServer:
         places = {DATABASE_FOLDER: str(self.folder), f":{DATABASE_TLS_PORT}": f"{self.address}:{self.port}"}
         arguments = list(DATABASE_LISTENERS["ferretdb", True])
         for old, new in places.items():
-            arguments = [one.replace(old, new) for one in arguments]
+            arguments = [argument.replace(old, new) for argument in arguments]
         return arguments
 
     def kill(self) -> None:

@@ -199,7 +199,7 @@ def test_whatever_was_added_in_turns_goes_exactly(seed: int) -> None:
         assert adding(present, file) == ()
         for node in present:
             assert all(
-                one.node != node.name or entries[0].labels.items() <= node.labels.items() for one in file.entries
+                entry.node != node.name or entries[0].labels.items() <= node.labels.items() for entry in file.entries
             )
     assert written(present, removing(present)) == nodes
 
@@ -219,7 +219,7 @@ def test_in_trial_mode_a_node_is_several_agents_by_labels_of_each() -> None:
         "lidar.capability.robotkube.io/vehicle-01": "true",
         "recording.capability.robotkube.io/vehicle-01": "true",
     }
-    assert [one.name for one in node_agents(worker_2.labels)] == ["vehicle-00", "vehicle-01"]
+    assert [agent.name for agent in node_agents(worker_2.labels)] == ["vehicle-00", "vehicle-01"]
     assert adding(done, TRIAL) == ()
     assert written(done, removing(done)) == NODES
 

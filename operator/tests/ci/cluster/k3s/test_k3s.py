@@ -35,7 +35,7 @@ def nothing_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def cidrs(peers: Sequence[Mapping[str, Any]]) -> list[str]:
-    return [one["ipBlock"]["cidr"] for one in peers]
+    return [peer["ipBlock"]["cidr"] for peer in peers]
 
 
 class TestKubeconfig:

@@ -75,7 +75,7 @@ def say(
     info |= {"operatingSystem": "linux", "architecture": "amd64", "kubeletVersion": version}
     info |= {"bootID": nodes.this_boot() if boot is None else boot}
     status: dict[str, Any] = {"nodeInfo": info, "addresses": [{"type": "InternalIP", "address": address}]}
-    status["images"] = [{"names": [one], "sizeBytes": 1} for one in images]
+    status["images"] = [{"names": [image], "sizeBytes": 1} for image in images]
     api.merge(f"/api/v1/nodes/{name}/status", {"status": status})
 
 

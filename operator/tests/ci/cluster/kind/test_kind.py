@@ -86,7 +86,7 @@ def test_each_node_of_a_scenario_is_a_worker_with_its_labels(version_1: bool) ->
     document = yaml.safe_load(configuration(shared_out(nodes(2), ""), version_1))
     control, *workers = document["nodes"]
     assert control == {"role": "control-plane"}
-    assert [one["labels"] for one in workers] == [node.labels for node in nodes(2).nodes]
+    assert [worker["labels"] for worker in workers] == [node.labels for node in nodes(2).nodes]
     assert document["networking"] == {"podSubnet": "10.72.0.0/16", "serviceSubnet": "10.73.0.0/16"}
     assert ("kubeadmConfigPatches" in document) == version_1
 
@@ -94,11 +94,15 @@ def test_each_node_of_a_scenario_is_a_worker_with_its_labels(version_1: bool) ->
 def test_two_workers_are_platform_and_cloud_and_all_others() -> None:
     document = yaml.safe_load(configuration(shared_out(nodes(3), "2"), False))
     _, first, second = document["nodes"]
-    assert [one.name for one in node_agents(first["labels"])] == ["cloud-0", "platform-0"]
+    assert [agent.name for agent in node_agents(first["labels"])] == ["cloud-0", "platform-0"]
     vehicles = node_agents(second["labels"])
-    assert [(one.name, one.guest) for one in vehicles] == [("vehicle-00", 0), ("vehicle-01", 1), ("vehicle-02", 2)]
+    assert [(vehicle.name, vehicle.guest) for vehicle in vehicles] == [
+        ("vehicle-00", 0),
+        ("vehicle-01", 1),
+        ("vehicle-02", 2),
+    ]
     of_agents = {node.agent: node for node in nodes(3).nodes}
-    assert all(one.capabilities == set(of_agents[one.name].capabilities) for one in vehicles)
+    assert all(vehicle.capabilities == set(of_agents[vehicle.name].capabilities) for vehicle in vehicles)
 
 
 @pytest.mark.parametrize(

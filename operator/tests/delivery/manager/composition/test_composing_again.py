@@ -170,8 +170,8 @@ def test_what_is_remembered_changes_nothing(seed: int, kept_max: int) -> None:
 
 
 def test_histories_meet_and_refuse_for_many_reasons() -> None:
-    outcomes = [one for seed in SEEDS for step in steps(seed) for one in step.composition.outcomes.values()]
-    reasons = {"Met" if isinstance(one, Met) else one.reason for one in outcomes}
+    outcomes = [outcome for seed in SEEDS for step in steps(seed) for outcome in step.composition.outcomes.values()]
+    reasons = {"Met" if isinstance(outcome, Met) else outcome.reason for outcome in outcomes}
     assert reasons >= {"Met", "NoCapableNode", "GuaranteeNotMet"}
 
 

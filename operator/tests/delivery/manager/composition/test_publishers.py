@@ -57,7 +57,7 @@ def composed(first: Mapping[str, Any], second: Mapping[str, Any], *charts: tuple
 
 
 def named(*parts: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any]]]:
-    return list(zip(("early", "late"), ({"services": [], "links": [], **one} for one in parts), strict=True))
+    return list(zip(("early", "late"), ({"services": [], "links": [], **part} for part in parts), strict=True))
 
 
 def outcome(composition: Composition, key: str = "ops/second") -> Met | Refused:

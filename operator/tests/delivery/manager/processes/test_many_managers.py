@@ -64,7 +64,9 @@ def managed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Installation]:
     setup = forge_setup(passwords, f"http://127.0.0.1:{port}/webhook")
     accounts = (*setup.accounts, *(ForgeAccount(name, passwords[name]) for name in MANAGERS))
     access = dict.fromkeys(MANAGERS, "read")
-    repositories = tuple(replace(one, access={**one.access, **access}) for one in setup.repositories)
+    repositories = tuple(
+        replace(repository, access={**repository.access, **access}) for repository in setup.repositories
+    )
     administration = GiteaAdministration(process.url, process.administrator, process.administrator_password)
     setup = replace(setup, accounts=accounts, repositories=repositories)
     Bootstrap(30, time.monotonic, time.sleep).forge(setup, administration)
@@ -181,12 +183,12 @@ def test_all_plans_of_three_managers_are_merged_exactly_once(
         except AssertionError as error:
             one.failure = str(error)
 
-    threads = [threading.Thread(target=work, args=(one,)) for one in managers]
+    threads = [threading.Thread(target=work, args=(manager,)) for manager in managers]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    assert [one.failure for one in managers] == [""] * len(managers)
+    assert [manager.failure for manager in managers] == [""] * len(managers)
     made = plans_on_main(managed)
     assert max(Counter(plan for plan, _, _ in made).values()) == 1
     for one in managers:
@@ -235,7 +237,7 @@ def test_two_managers_answer_an_application_over_their_border_by_consent(
     merged({path_of("south"): None})
     until(lambda: both(False), "neither end is on main", PLAN_SECONDS_MAX)
     assert north.tasks.condition(key, "Accepted") == ("False", "LinkNotConsented")
-    assert [one.manager.statistics.plans["refused"] for one in managers] == [0, 0, 0]
+    assert [manager.manager.statistics.plans["refused"] for manager in managers] == [0, 0, 0]
 
 
 def plans_on_main(installation: Installation) -> list[tuple[str, str, tuple[str, tuple[str, ...]]]]:

@@ -127,11 +127,11 @@ def test_a_stranger_is_written_as_soon_as_the_platform_is_there(api: Api, own: A
     assert reported() == ""
     assert api.get(f"{INSPECTIONS}/machine.vehicle-00")["status"]["strangersTotal"] == 0
     events = api.get(EVENTS)["items"]
-    assert sorted((one["reason"], one["type"]) for one in events) == [
+    assert sorted((event["reason"], event["type"]) for event in events) == [
         ("BesideTheKubelet", "Warning"),
         ("StrangerGone", "Normal"),
     ]
-    assert {one["reportingController"] for one in events} == {"robotkube.io/containers"}
+    assert {event["reportingController"] for event in events} == {"robotkube.io/containers"}
     assert json.dumps(events).count("machine.vehicle-00") >= len(events)
 
 

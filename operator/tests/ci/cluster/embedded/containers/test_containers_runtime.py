@@ -65,7 +65,10 @@ def unknown(node: LoneNode) -> list[str]:
 def web(node: LoneNode) -> Container | None:
     """The container of the kubelet's pod, once it is known."""
     gone = unknown(node)
-    return next((one for one in read(node).containers if one.name == "web" and one.key not in gone), None)
+    return next(
+        (container for container in read(node).containers if container.name == "web" and container.key not in gone),
+        None,
+    )
 
 
 def run(node: LoneNode, namespace: str, *options: str) -> None:
@@ -140,7 +143,11 @@ def test_pods_that_come_and_go_raise_no_alarm(node: LoneNode) -> None:
         """The pods that have something known that runs; nothing is named."""
         assert named(looking) == []
         gone = unknown(node)
-        return {one.pod.removesuffix(f"-{node.node.name}") for one in read(node).containers if one.key not in gone}
+        return {
+            container.pod.removesuffix(f"-{node.node.name}")
+            for container in read(node).containers
+            if container.key not in gone
+        }
 
     until(lambda: watched() >= {"works", "fails", "lacks"}, "all have begun", 60)
     until(lambda: started(node, "works") and started(node, "fails"), "two run", 60)

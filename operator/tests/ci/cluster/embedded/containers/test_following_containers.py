@@ -223,7 +223,7 @@ def test_the_nodes_are_those_whose_runtimes_are_recorded(folders: ClusterFolders
     (folders.node("vehicle-00") / RUNNING[0] / "default" / "miner").mkdir(parents=True)
     nodes = ContainersOfNodes(folders)
     assert list(nodes.names()) == ["vehicle-00", "vehicle-01"]
-    assert [one.key for one in nodes.read("vehicle-00").containers] == ["default/miner"]
+    assert [container.key for container in nodes.read("vehicle-00").containers] == ["default/miner"]
     with pytest.raises(UnavailableError, match="its containerd does not run; start the node again"):
         nodes.read("vehicle-01")
 

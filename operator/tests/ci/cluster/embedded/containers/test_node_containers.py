@@ -60,7 +60,10 @@ def test_a_node_that_has_run_nothing_yet_has_nothing(tmp_path: Path) -> None:
 
 def test_what_a_kubelet_runs_is_known(node: Path) -> None:
     seen = NodeContainers(node).read()
-    assert sorted((one.key, one.kind, one.sandbox, one.pod_uid, one.program) for one in seen.containers) == [
+    assert sorted(
+        (container.key, container.kind, container.sandbox, container.pod_uid, container.program)
+        for container in seen.containers
+    ) == [
         ("k8s.io/box", SANDBOX, "box", "uid-web", "/pause"),
         ("k8s.io/web", CONTAINER, "box", "uid-web", "/web"),
     ]
@@ -89,11 +92,11 @@ def test_what_ends_is_gone(node: Path) -> None:
 def test_a_file_that_was_not_whole_is_read_again(node: Path) -> None:
     reader = NodeContainers(node)
     folder = run(node, TASKS / "default", "foreign", None)
-    assert [one.program for one in reader.read().containers if one.id == "foreign"] == [""]
+    assert [container.program for container in reader.read().containers if container.id == "foreign"] == [""]
     (folder / "config.json").write_text('{"process": {"ar', encoding="utf-8")
-    assert [one.program for one in reader.read().containers if one.id == "foreign"] == [""]
+    assert [container.program for container in reader.read().containers if container.id == "foreign"] == [""]
     (folder / "config.json").write_text(json.dumps(specification("", "/late")), encoding="utf-8")
-    assert [one.program for one in reader.read().containers if one.id == "foreign"] == ["/late"]
+    assert [container.program for container in reader.read().containers if container.id == "foreign"] == ["/late"]
 
 
 def test_what_waits_to_be_started_is_read_again(node: Path) -> None:
