@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import base64
+import random
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -34,6 +35,7 @@ from ci.cluster_contract.provider import Reach, ServicePort, directly
 from ci.errors import InputError, SetUpError
 from ci.folders import PROJECT
 from ci.images.image_lock import Image, lock_file, read_lock
+from robotkube.backoffs import backoff
 from robotkube.cli.registry.source_problems import check_sources
 from robotkube.cli.registry.submit import ACCOUNT, CATALOGUE, ForgeAccess, submit_sources
 from robotkube.errors import RobotKubeError, UnavailableError
@@ -62,7 +64,8 @@ EARLIER = PROJECT / "charts" / "earlier"
 BASE = ("bag-player", "event-detector", "mqtt-bridge")
 WAIT_SECONDS_MAX = 60.0  # for a forge that does not answer
 VERDICT_SECONDS_MAX = 900.0  # for the gate's suites
-RETRY_SECONDS = 1.0
+RETRY_SECONDS_FIRST = 1.0
+RETRY_SECONDS_MAX = 2.0
 LANES = 2  # images on their way at once: the registry hashes each on one core
 
 T = TypeVar("T")
@@ -260,13 +263,15 @@ def push_image(registry: OciRegistry, image: Image) -> str:
 def _patiently(call: Callable[[], T]) -> T:
     """The call's answer; a forge that does not answer is asked again within WAIT_SECONDS_MAX."""
     end = time.monotonic() + WAIT_SECONDS_MAX
+    attempts = 0
     while True:
         try:
             return call()
         except UnavailableError:
             if time.monotonic() >= end:
                 raise
-            time.sleep(RETRY_SECONDS)
+            time.sleep(backoff(attempts, RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX, random.random))
+            attempts += 1
 
 
 def main() -> int:

@@ -80,15 +80,15 @@ def measured(size: Size, seconds: int = SECONDS, *way: str) -> dict[str, Any]:
     return figures | used
 
 
-def figures(found: dict[str, Any]) -> dict[str, Any]:
+def figures(browsed: dict[str, Any]) -> dict[str, Any]:
     """The measurements as they are recorded."""
     return {
-        "event_to_pixel_ms": asdict(quantiles(found["event_ms"])),
-        "frames": round(found["frames"], 1),
-        "first_paint_ms": round(found["first_paint_ms"]),
-        "page_bytes": found["page_bytes"],
-        "snapshot_bytes": found["data_bytes"],
-        "cpu_share": found["cpu_share"],
+        "event_to_pixel_ms": asdict(quantiles(browsed["event_ms"])),
+        "frames": round(browsed["frames"], 1),
+        "first_paint_ms": round(browsed["first_paint_ms"]),
+        "page_bytes": browsed["page_bytes"],
+        "snapshot_bytes": browsed["data_bytes"],
+        "cpu_share": browsed["cpu_share"],
     }
 
 

@@ -22,7 +22,7 @@ HOSTS = {"cloud": 0, PLATFORM: 2}  # charts are tried on the first cloud, and no
 OTHER = 1
 
 
-def seated(members: Sequence[AgentOfNode]) -> tuple[NodeAgent, ...]:
+def numbered(members: Sequence[AgentOfNode]) -> tuple[NodeAgent, ...]:
     """Those of one Node, the host first, and the guests with their numbers; InputError when there are too many."""
     if len(members) > GUESTS_MAX + 1:
         raise InputError(f"{len(members)} agents on one Node; {GUESTS_MAX + 1} can share one, take more Nodes")
@@ -34,7 +34,7 @@ def seated(members: Sequence[AgentOfNode]) -> tuple[NodeAgent, ...]:
 
 def labels(members: Sequence[AgentOfNode]) -> dict[str, str]:
     """The labels of the Node of these."""
-    return {key: value for one in seated(members) for key, value in one.labels.items()}
+    return {key: value for one in numbered(members) for key, value in one.labels.items()}
 
 
 def platform_values(nodes: Mapping[str, Mapping[str, str]]) -> dict[str, Any]:

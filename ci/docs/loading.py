@@ -49,33 +49,33 @@ REFRESH = re.compile(r"\burl\s*=\s*[\"']?([^\"']+)", re.IGNORECASE)
 class _Page(HTMLParser):
     def __init__(self) -> None:
         super().__init__()
-        self.found: list[str] = []
+        self.foreign: list[str] = []
         self.within = ""
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         given = {name: value or "" for name, value in attrs}
         self.within = tag
-        self.found += in_style(given.get("style", "")) + in_page(given.get("srcdoc", ""))
-        self.found += [
+        self.foreign += in_style(given.get("style", "")) + in_page(given.get("srcdoc", ""))
+        self.foreign += [
             address for name, value in given.items() if name.startswith("on") for address in in_script(value)
         ]
         if tag == "meta" and given.get("http-equiv", "").strip().lower() == "refresh":
-            self.found += _foreign(REFRESH.findall(given.get("content", "")))
+            self.foreign += _foreign(REFRESH.findall(given.get("content", "")))
         if tag == "link" and set(given.get("rel", "").split()) <= SHOWN_ONLY:
             return
         for attribute in LOADED.get(tag, ()):
             value = given.get(attribute, "")
             addresses = value.split(",") if attribute.endswith("srcset") else [value]
-            self.found += [f"<{tag} {attribute}> {address}" for address in _foreign(addresses)]
+            self.foreign += [f"<{tag} {attribute}> {address}" for address in _foreign(addresses)]
 
     def handle_endtag(self, tag: str) -> None:
         self.within = ""
 
     def handle_data(self, data: str) -> None:
         if self.within == "style":
-            self.found += in_style(data)
+            self.foreign += in_style(data)
         if self.within == "script":
-            self.found += in_script(data)
+            self.foreign += in_script(data)
 
 
 def _foreign(addresses: list[str]) -> list[str]:
@@ -87,7 +87,7 @@ def in_page(html: str) -> list[str]:
     page = _Page()
     page.feed(html)
     page.close()
-    return page.found
+    return page.foreign
 
 
 def in_style(css: str) -> list[str]:

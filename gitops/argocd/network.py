@@ -33,14 +33,14 @@ def policies(namespace: str, stated: Mapping[str, Any]) -> list[Object]:
         return []
     values |= {word: {**values[word], **(stated.get(word) or {})} for word in ("apiServer", "dns")}
     parties = {name: party for name, party in table["parties"].items() if party["namespaces"] == WORD}
-    found = [_policy("default-deny", namespace, {})]
+    policies = [_policy("default-deny", namespace, {})]
     for name, party in parties.items():
         policy = _policy(name, namespace, {"matchLabels": party["labels"]})
         for direction, rules in _rules(table, values, namespace, name).items():
             if rules:
                 policy["spec"][direction] = rules
-        found.append(policy)
-    return found
+        policies.append(policy)
+    return policies
 
 
 def _policy(name: str, namespace: str, pods: Object) -> Object:

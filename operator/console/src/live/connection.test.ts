@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { after, START, type Connection, type Happening, type Next } from "./connection";
+import { after, START, waited, type Connection, type Happening, type Next } from "./connection";
 
 function run(happenings: Happening[], from: Connection = START): [Connection, Next] {
   let state = from;
@@ -60,6 +60,15 @@ describe("the connection", () => {
     });
     expect(seconds).toEqual([1, 2, 4, 8, 15, 15, 15]);
     expect(run([failed(503), failed(503)])[0]).toMatchObject({ mode: "away", problem: "it said no" });
+  });
+
+  it("comes back at any time up to the pause, and asks for changes at their interval", () => {
+    const half = ([state, next]: [Connection, Next]): number => waited(state, next, () => 0.5);
+    expect(half(run([failed(503), failed(503), failed(503)]))).toBe(2);
+    expect(half(run([SNAPSHOT, { kind: "ended" }]))).toBe(0.5);
+    expect(half(run([SNAPSHOT, MUTE, MUTE, POLLED]))).toBe(2);
+    expect(half(run([SNAPSHOT, MUTE, MUTE, POLLED, failed(503)]))).toBe(0.5);
+    expect(half(run([failed(401)]))).toBe(0);
   });
 
   it("asks no more when it may not read", () => {

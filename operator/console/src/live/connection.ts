@@ -119,7 +119,17 @@ function onward(state: Connection): "stream" | "changes" {
   return state.mute >= MUTE_STREAMS_MAX ? "changes" : "stream";
 }
 
-/** Seconds before the next attempt: none at first, then 1, 2, 4, ..., at most 15. */
+/**
+ * Seconds that are waited before what is done next. Changes are asked for at their interval; an attempt after a failure or
+ * a stream that ended comes at any time up to its pause, so that the pages of many people do not all come back at once.
+ * `random`: numbers from 0 up to 1.
+ */
+export function waited(state: Connection, next: Next, random: () => number): number {
+  if (next.kind === "nothing") return 0;
+  return next.kind === "changes" && !state.failures ? next.seconds : next.seconds * random();
+}
+
+/** The longest pause in seconds before the next attempt: none at first, then 1, 2, 4, ..., at most 15. */
 export function pause(failures: number): number {
   return failures === 0 ? 0 : Math.min(PAUSE_SECONDS_MAX, 2 ** (failures - 1));
 }

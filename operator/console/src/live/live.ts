@@ -1,6 +1,6 @@
 import { openStream, readChange, readSnapshot, Refused } from "./api";
 import { ProcessClock } from "./clock";
-import { after, MUTE_SECONDS_MAX, START, type Connection, type Happening, type Next } from "./connection";
+import { after, MUTE_SECONDS_MAX, START, waited, type Connection, type Happening, type Next } from "./connection";
 import { FrameReader, type Frame } from "./frames";
 import type { Change } from "./model";
 import { Table } from "./table";
@@ -32,7 +32,7 @@ export class Live {
   async run(): Promise<void> {
     let next: Next = { kind: "snapshot", seconds: 0 };
     while (next.kind !== "nothing" && !this.ended.signal.aborted) {
-      await pause(next.seconds);
+      await pause(waited(this.connection, next, Math.random));
       next = await this.step(next.kind);
     }
   }

@@ -127,7 +127,7 @@ def pool() -> Iterator[ThreadPoolExecutor]:
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """What hangs is said soon."""
     monkeypatch.setattr(component_lines, "SILENT_SECONDS_MAX", 0.2)
-    monkeypatch.setattr(component_lines, "LOOK_SECONDS", 0.05)
+    monkeypatch.setattr(component_lines, "POLL_SECONDS", 0.05)
 
 
 @pytest.mark.usefixtures("impatient")

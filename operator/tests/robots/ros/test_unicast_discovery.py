@@ -87,7 +87,7 @@ def peer() -> Iterator[socket.socket]:
 
 
 def test_what_this_process_announces_arrives_at_a_peer(peer: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(unicast_discovery, "LOOK_SECONDS", 0.1)
+    monkeypatch.setattr(unicast_discovery, "POLL_SECONDS", 0.1)
     announced: list[frozenset[str]] = []
     answers = iter([frozenset[str](), frozenset({"127.0.0.1"})])  # no such Service; and nobody else is there
 
@@ -109,8 +109,8 @@ def test_a_problem_is_logged_once_until_it_is_another_one_or_ends(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The addresses of the pod are on no link of it, as while its network is not up; then they are none at all."""
-    monkeypatch.setattr(unicast_discovery, "LOOK_SECONDS", 0.02)
-    monkeypatch.setattr(unicast_discovery, "LOOK_SECONDS_MAX", 0.02)
+    monkeypatch.setattr(unicast_discovery, "POLL_SECONDS", 0.02)
+    monkeypatch.setattr(unicast_discovery, "POLL_SECONDS_MAX", 0.02)
     caplog.set_level("INFO", "robotkube")
     own = ["192.0.2.1"]
     looks: list[str] = []

@@ -35,7 +35,7 @@ WATCHED = (
     (POD, "/api/v1/namespaces/{}/pods", NAME),  # those of Argo CD's manifests do not say what they are part of
 )
 SILENT_SECONDS_MAX = 30.0  # then it is said what hangs, once for each reason
-LOOK_SECONDS = 1.0
+POLL_SECONDS = 1.0
 END_SECONDS_MAX = 5.0
 SYNC_SECONDS_MAX = 15.0
 EVENTS_MAX = "500"
@@ -223,7 +223,7 @@ class InstallationWatch:
             self.lines.saw(now)
 
     def _look(self) -> None:
-        while not self._ended.wait(LOOK_SECONDS):
+        while not self._ended.wait(POLL_SECONDS):
             self.lines.look()
 
     def _events(self, namespace: str, name: str) -> Sequence[Object]:

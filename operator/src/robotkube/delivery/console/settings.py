@@ -218,9 +218,9 @@ def _writers(reader: Reader, sign_in: Any) -> Sequence[Writers]:
 
 def _authorities(reader: Reader, root: Mapping[str, Any]) -> tuple[Path, ...]:
     sign_in = root.get("sign_in")
-    found = [read_authorities(reader, root, "")]
-    found += [read_authorities(reader, sign_in, "sign_in")] if isinstance(sign_in, Mapping) else []
-    return tuple(one for one in found if one is not None)
+    files = [read_authorities(reader, root, "")]
+    files += [read_authorities(reader, sign_in, "sign_in")] if isinstance(sign_in, Mapping) else []
+    return tuple(file for file in files if file is not None)
 
 
 def _words(reader: Reader, value: Any, path: str, pattern: re.Pattern[str]) -> tuple[str, ...]:

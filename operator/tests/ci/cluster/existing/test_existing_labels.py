@@ -256,9 +256,9 @@ def test_the_platform_is_found_by_the_label_it_has() -> None:
 
 def test_no_more_share_a_node_than_there_are_ros_domains_for() -> None:
     many = [replace(SECOND, agent=f"vehicle-{number:02}") for number in range(GUESTS_MAX + 2)]
-    assert [one.guest for one in sharing.seated(many[:-1])] == list(range(GUESTS_MAX + 1))
+    assert [one.guest for one in sharing.numbered(many[:-1])] == list(range(GUESTS_MAX + 1))
     with pytest.raises(InputError, match=r"82 agents on one Node; 81 can share one"):
-        sharing.seated(many)
+        sharing.numbered(many)
 
 
 def test_a_table_of_nodes_says_that_agents_share_them() -> None:

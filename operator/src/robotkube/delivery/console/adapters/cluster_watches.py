@@ -24,7 +24,7 @@ from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.kubernetes.adapters.client import ResourceWatch, call
 from robotkube.foundation.kubernetes.core.node_agents import AGENT
 
-LOOK_SECONDS = 1.0
+POLL_SECONDS = 1.0
 ALWAYS_THERE = ("nodes", "tasks", "pods")  # Argo CD may be away, and nobody may inspect
 DETECTOR_NAME, BRIDGE_NAME = "event-detector", "mqtt-bridge"
 NAME_LABEL = "app.kubernetes.io/name"
@@ -77,7 +77,7 @@ class ClusterWatches:
             self._model.put(kinds.AGENTS, str(agent["name"]), agent_document(agent, ()))
         for watch, _ in self._watches.values():
             watch.start()
-        while not stopping.wait(LOOK_SECONDS):
+        while not stopping.wait(POLL_SECONDS):
             for name, (watch, carries) in self._watches.items():
                 self._model.put_source(f"api-server-{name}", watch.complaint, ADVICE, carries)
         for watch, _ in self._watches.values():

@@ -290,8 +290,8 @@ class ApplicationManager:
     def _remember(self) -> None:
         """Make records of plans on main that have none: after a start, or when an answer of the forge was lost."""
         mine = self._proposal.record.id if self._proposal else ""
-        found = records_of(self._main.new_commits, self._ports.name)
-        unknown = [r for r in found if r.id != mine and not self.records.has_merged(r.id)]
+        planned = records_of(self._main.new_commits, self._ports.name)
+        unknown = [r for r in planned if r.id != mine and not self.records.has_merged(r.id)]
         pulls = {pull.head: pull for pull in self._ports.forge.pull_requests("all")} if unknown else {}
         for record in unknown:
             self._decisions.name(record, pulls.get(record.commit))

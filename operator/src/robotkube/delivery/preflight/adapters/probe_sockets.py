@@ -4,12 +4,14 @@ and it asks a neighbour, the name service and the broker."""
 from __future__ import annotations
 
 import os
+import random
 import socket
 import socketserver
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 
+from robotkube.backoffs import backoff
 from robotkube.delivery.preflight.core.probing.answers import (
     CLOSED_PORT,
     OPEN_PORT,
@@ -24,7 +26,8 @@ NAMES_SECONDS_MAX = 4.0
 EXCHANGES = 12
 OPEN_ATTEMPTS, CLOSED_ATTEMPTS = 3, 3
 PAUSE_SECONDS = 0.5
-"""A policy works a little later than it is made: what it denies is asked for again, at most so often."""
+"""A policy works a little later than it is made: what it denies is asked for again, at most so often, after this pause
+and up to as much again, since all pods of a probe begin at once."""
 LINE_BYTES_MAX = 64
 FILE_SYSTEMS: Mapping[str, str] = {"pods": "/tmp", "images": "/"}  # noqa: S108 - in the pod: its volume, and its image
 
@@ -121,7 +124,7 @@ def _reached(host: str, port: int, attempts: int, sleep: Callable[[float], objec
     words = ""
     for attempt in range(attempts):
         if attempt:
-            sleep(PAUSE_SECONDS)
+            sleep(PAUSE_SECONDS + backoff(0, PAUSE_SECONDS, PAUSE_SECONDS, random.random))
         try:
             socket.create_connection((host, port), CONNECT_SECONDS_MAX).close()
         except OSError as error:
@@ -135,7 +138,7 @@ def _stays_open(host: str, port: int, sleep: Callable[[float], object]) -> bool:
     """Return whether a port is reached each time."""
     for attempt in range(CLOSED_ATTEMPTS):
         if attempt:
-            sleep(PAUSE_SECONDS)
+            sleep(PAUSE_SECONDS + backoff(0, PAUSE_SECONDS, PAUSE_SECONDS, random.random))
         if _reached(host, port, 1, sleep):
             return False
     return True

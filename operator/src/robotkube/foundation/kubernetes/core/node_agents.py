@@ -69,8 +69,8 @@ def _guest(name: str, labels: Mapping[str, str]) -> NodeAgent:
 
 def shared_nodes(nodes: Iterable[tuple[str, Mapping[str, str]]]) -> dict[str, Sequence[str]]:
     """The names of the agents of each Node (name and labels) that is several agents'."""
-    found = {name: [agent.name for agent in node_agents(labels) if agent.name] for name, labels in nodes}
-    return {name: agents for name, agents in sorted(found.items()) if len(agents) > 1}
+    agents_of = {name: [agent.name for agent in node_agents(labels) if agent.name] for name, labels in nodes}
+    return {name: agents for name, agents in sorted(agents_of.items()) if len(agents) > 1}
 
 
 def trial_words(shared: Mapping[str, Sequence[str]]) -> str:

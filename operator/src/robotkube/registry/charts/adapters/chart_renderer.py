@@ -25,7 +25,7 @@ PROGRAM = "/usr/local/bin/chart-renderer"  # where the platform's image has it
 PROGRAM_VARIABLE = "ROBOTKUBE_RENDERER"  # of the environment: another place
 SECONDS_MAX = 5.0  # of a processor, for one chart
 ANSWER_SECONDS_MAX = 60.0  # of the clock, on a machine that has other work
-LOOK_SECONDS = 0.1
+POLL_SECONDS = 0.1
 PROCESSOR_SECONDS_MAX = 3_600  # of one process, over all its renderings
 CLOCK_TICKS = os.sysconf("SC_CLK_TCK")
 MEMORY_BYTES_MAX = 256 * 1024 * 1024
@@ -119,7 +119,7 @@ class ChartRenderer:
             if late.is_set() or not pause:
                 process.kill()
                 return
-            pause = max(pause, LOOK_SECONDS)
+            pause = max(pause, POLL_SECONDS)
 
     def _start(self) -> subprocess.Popen[bytes]:
         bounds = [str(bound) for bound in (PROCESSOR_SECONDS_MAX, MEMORY_BYTES_MAX, ANSWER_BYTES_MAX)]

@@ -184,7 +184,7 @@ class Journal:
             self._retry_at = float("-inf")
             self.turn()
             if self._unwritten:
-                self._wake.wait(RETRY_SECONDS_FIRST)
+                self._wake.wait(backoff(0, RETRY_SECONDS_FIRST, RETRY_SECONDS_FIRST, self._jitter))
         if self._place.fencing.lost:
             self._discard()
         self._spool_waiting()

@@ -31,7 +31,7 @@ PARTICIPANTS = 4  # processes of a pod that are looked for; each takes the first
 MAGIC = b"RTPS"
 SENDER = slice(8, 20)  # the sender's GUID prefix
 PACKET_BYTES_MAX = 65536
-LOOK_SECONDS, LOOK_SECONDS_MAX = 1.0, 10.0  # between looks for peers; the longest while there are none
+POLL_SECONDS, POLL_SECONDS_MAX = 1.0, 10.0  # between looks for peers; the longest while there are none
 HEAR_SECONDS_MAX = 0.5
 AGAIN_SECONDS = 1.0  # between two announcements of one participant to a peer that has had one
 IN_A_POD = "KUBERNETES_SERVICE_HOST"
@@ -127,7 +127,7 @@ class UnicastDiscovery:
     def close(self) -> None:
         """Pass nothing on any more."""
         self._stopping.set()
-        self._thread.join(HEAR_SECONDS_MAX + LOOK_SECONDS)
+        self._thread.join(HEAR_SECONDS_MAX + POLL_SECONDS)
 
     def _run(self) -> None:
         """Look for peers, ever more seldom while there are none."""
@@ -140,7 +140,7 @@ class UnicastDiscovery:
                 others = frozenset()
             failures = 0 if others else failures + 1
             if not others:
-                self._stopping.wait(backoff(failures, LOOK_SECONDS, LOOK_SECONDS_MAX, random.random))
+                self._stopping.wait(backoff(failures, POLL_SECONDS, POLL_SECONDS_MAX, random.random))
 
     def _passed_on(self, own: frozenset[str]) -> bool:
         """Pass on until the next look; False when that failed. It is logged when it comes, when it is another problem,
@@ -160,7 +160,7 @@ class UnicastDiscovery:
     def _pass_on(self, own: frozenset[str]) -> None:
         """Hear, until the next look, this process's own announcements and send them to peers. What others announce to
         the group came by multicast, and needs no help."""
-        end = time.monotonic() + LOOK_SECONDS
+        end = time.monotonic() + POLL_SECONDS
         with _listening(self._first, own) as heard, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sending:
             while time.monotonic() < end and not self._stopping.is_set():
                 with contextlib.suppress(TimeoutError):

@@ -23,8 +23,8 @@ _TOLD = {
 def refused_status(error: Exception) -> str:
     """The status of an answer by which a forge refuses, whoever asks how often; empty where another attempt may get
     another one."""
-    found = _STATUS.search(str(error))
-    return found.group(1) if found and found.group(1) in _REFUSING else ""
+    status = _STATUS.search(str(error))
+    return status.group(1) if status and status.group(1) in _REFUSING else ""
 
 
 def refusal_words(status: str, url: str, account: tuple[str, str]) -> str:
