@@ -17,7 +17,7 @@ import threading
 import time
 from collections.abc import Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any
+from typing import Any, ClassVar
 from urllib.parse import parse_qs, urlsplit
 
 WATCH_SECONDS_MAX = 300.0
@@ -139,88 +139,93 @@ def merged(old: Any, patch: Any) -> Any:
     return result
 
 
+class _Handler(BaseHTTPRequestHandler):
+    """Answers requests by what `api_server` holds."""
+
+    api_server: ClassVar[ApiServerInMemory]
+    protocol_version = "HTTP/1.1"
+
+    def setup(self) -> None:
+        super().setup()
+        self.api_server.note_connection(self.connection, True)
+
+    def finish(self) -> None:
+        self.api_server.note_connection(self.connection, False)
+        with contextlib.suppress(OSError):
+            super().finish()
+
+    def log_message(self, *_: object) -> None:
+        """Quiet."""
+
+    def do_GET(self) -> None:
+        folder, name, query = self._address()
+        selected = query.get("fieldSelector", [""])[0].removeprefix("metadata.name=") or None
+        if name:
+            body = self.api_server.get(folder, name)
+            self._answer(200, body) if body else self._missing(name)
+        elif "watch" in query:
+            self._watch(folder, selected, query)
+        else:
+            self._answer(200, self.api_server.listed(folder, selected))
+
+    def do_POST(self) -> None:
+        folder, _, _ = self._address()
+        body = self._body()
+        name = body["metadata"]["name"]
+        if self.api_server.get(folder, name):
+            self._answer(409, {"kind": "Status", "reason": "AlreadyExists", "message": f"{name} already exists"})
+        else:
+            self._answer(201, self.api_server.put(folder, name, body))
+
+    def do_PATCH(self) -> None:
+        folder, name, _ = self._address()
+        old = self.api_server.get(folder, name)
+        patch = self._body()
+        self._answer(200, self.api_server.put(folder, name, merged(old, patch))) if old else self._missing(name)
+
+    def do_DELETE(self) -> None:
+        folder, name, _ = self._address()
+        self._answer(200, {"kind": "Status"}) if self.api_server.delete(folder, name) else self._missing(name)
+
+    def _address(self) -> tuple[str, str, dict[str, list[str]]]:
+        parts = urlsplit(self.path)
+        match = _PATH.fullmatch(parts.path)
+        if match is None:
+            return parts.path, "", parse_qs(parts.query)
+        base, namespace, plural, name = match.groups()
+        return f"{base}/namespaces/{namespace}/{plural}", name or "", parse_qs(parts.query)
+
+    def _body(self) -> Any:
+        return json.loads(self.rfile.read(int(self.headers.get("Content-Length", 0))))
+
+    def _missing(self, name: str) -> None:
+        self._answer(404, {"kind": "Status", "reason": "NotFound", "message": f"{name} not found"})
+
+    def _answer(self, status: int, body: object) -> None:
+        data = json.dumps(body).encode()
+        self.send_response(status)
+        self.send_header("Content-Type", "application/json")
+        self.send_header("Content-Length", str(len(data)))
+        self.end_headers()
+        self.wfile.write(data)
+
+    def _watch(self, folder: str, name: str | None, query: dict[str, list[str]]) -> None:
+        self.close_connection = True
+        self.send_response(200)
+        self.end_headers()
+        deadline = time.monotonic() + min(float(query.get("timeoutSeconds", ["60"])[0]), WATCH_SECONDS_MAX)
+        version = int(query.get("resourceVersion", ["0"])[0])
+        while (left := deadline - time.monotonic()) > 0:
+            reached, events = self.api_server.events(folder, name, version, left)
+            if not events:
+                return
+            version = reached
+            try:
+                self.wfile.write("".join(json.dumps(event) + "\n" for event in events).encode())
+            except OSError:
+                return
+
+
 def _handler(server: ApiServerInMemory) -> type[BaseHTTPRequestHandler]:
-    class Handler(BaseHTTPRequestHandler):
-        protocol_version = "HTTP/1.1"
-
-        def setup(self) -> None:
-            super().setup()
-            server.note_connection(self.connection, True)
-
-        def finish(self) -> None:
-            server.note_connection(self.connection, False)
-            with contextlib.suppress(OSError):
-                super().finish()
-
-        def log_message(self, *_: object) -> None:
-            """Quiet."""
-
-        def do_GET(self) -> None:
-            folder, name, query = self._address()
-            selected = query.get("fieldSelector", [""])[0].removeprefix("metadata.name=") or None
-            if name:
-                body = server.get(folder, name)
-                self._answer(200, body) if body else self._missing(name)
-            elif "watch" in query:
-                self._watch(folder, selected, query)
-            else:
-                self._answer(200, server.listed(folder, selected))
-
-        def do_POST(self) -> None:
-            folder, _, _ = self._address()
-            body = self._body()
-            name = body["metadata"]["name"]
-            if server.get(folder, name):
-                self._answer(409, {"kind": "Status", "reason": "AlreadyExists", "message": f"{name} already exists"})
-            else:
-                self._answer(201, server.put(folder, name, body))
-
-        def do_PATCH(self) -> None:
-            folder, name, _ = self._address()
-            old = server.get(folder, name)
-            patch = self._body()
-            self._answer(200, server.put(folder, name, merged(old, patch))) if old else self._missing(name)
-
-        def do_DELETE(self) -> None:
-            folder, name, _ = self._address()
-            self._answer(200, {"kind": "Status"}) if server.delete(folder, name) else self._missing(name)
-
-        def _address(self) -> tuple[str, str, dict[str, list[str]]]:
-            parts = urlsplit(self.path)
-            match = _PATH.fullmatch(parts.path)
-            if match is None:
-                return parts.path, "", parse_qs(parts.query)
-            base, namespace, plural, name = match.groups()
-            return f"{base}/namespaces/{namespace}/{plural}", name or "", parse_qs(parts.query)
-
-        def _body(self) -> Any:
-            return json.loads(self.rfile.read(int(self.headers.get("Content-Length", 0))))
-
-        def _missing(self, name: str) -> None:
-            self._answer(404, {"kind": "Status", "reason": "NotFound", "message": f"{name} not found"})
-
-        def _answer(self, status: int, body: object) -> None:
-            data = json.dumps(body).encode()
-            self.send_response(status)
-            self.send_header("Content-Type", "application/json")
-            self.send_header("Content-Length", str(len(data)))
-            self.end_headers()
-            self.wfile.write(data)
-
-        def _watch(self, folder: str, name: str | None, query: dict[str, list[str]]) -> None:
-            self.close_connection = True
-            self.send_response(200)
-            self.end_headers()
-            deadline = time.monotonic() + min(float(query.get("timeoutSeconds", ["60"])[0]), WATCH_SECONDS_MAX)
-            version = int(query.get("resourceVersion", ["0"])[0])
-            while (left := deadline - time.monotonic()) > 0:
-                reached, events = server.events(folder, name, version, left)
-                if not events:
-                    return
-                version = reached
-                try:
-                    self.wfile.write("".join(json.dumps(event) + "\n" for event in events).encode())
-                except OSError:
-                    return
-
-    return Handler
+    """The class of handlers of one server."""
+    return type("Handler", (_Handler,), {"api_server": server})

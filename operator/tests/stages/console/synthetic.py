@@ -12,6 +12,8 @@ from typing import Any
 from tests.stages.console.documents import NOT_READY, PARAMETERS, RULE, differences, recording
 
 Document = dict[str, Any]
+ChainRow = tuple[str, str | None, str, str, str, int, int | None, str]
+"""Step, kind, id, title, text, time, end and link of one step of a chain."""
 VERSIONS_PER_SECOND = 4
 STEP_MS = 1000 // VERSIONS_PER_SECOND
 START_M, STOP_M = 400.0, 500.0
@@ -415,70 +417,8 @@ def plan_document(event: Document, state: str) -> Document:
 
 def steps(event: Document, kind: str, identity: str) -> list[Document]:
     """A chain from the triggering message to the removal, with the thing that was asked for in it."""
-    began, one = event["began_ms"], event["agents"][0]
-    commit = hex_word(event["id"], 40)
-    topic = event["causes"][0]["topic"]
-    forge = "http://forge.example.com"
-    release = identity if kind == "release" else f"cloud-0/recorder-{one}"
-    rows = [
-        ("message", None, topic, topic, "pose.position.x = 1.0, pose.position.y = 2.0", began - 13, None, ""),
-        ("event", "event", event["id"], RULE, f"{', '.join(event['agents'])}: distance_m = 399.8", began, None, ""),
-        ("task", "task", event["task"], event["task"], "Ready: all releases run", began + 17, began + 2900, ""),
-        (
-            "plan",
-            "plan",
-            f"20261126-100000-{event['id']}",
-            f"deploy(recording): {', '.join(event['agents'])} {REASON}",
-            "1 release created, 2 changed",
-            began + 27,
-            began + 2900,
-            "",
-        ),
-        (
-            "pull request",
-            None,
-            "12",
-            "pull request 12",
-            "checked by the gate: evidence, digests, schemas, scope",
-            began + 480,
-            began + 880,
-            f"{forge}/pulls/12",
-        ),
-        (
-            "commit",
-            "commit",
-            commit,
-            commit[:12],
-            "on main, signed by the gate",
-            began + 880,
-            None,
-            f"{forge}/commit/{commit}",
-        ),
-        (
-            "Application",
-            "release",
-            release,
-            release.replace("/", "-"),
-            "Synced Healthy",
-            began + 940,
-            began + 1700,
-            "http://argocd.example.com",
-        ),
-        ("pod", "pod", f"{release}-5d9f", f"{release}-5d9f", "Running on cloud-0", began + 1710, began + 2880, ""),
-    ]
-    if event["ended_ms"]:
-        rows.append(
-            (
-                "end",
-                None,
-                event["id"],
-                "the event ended",
-                "500 m apart: the task was withdrawn",
-                event["ended_ms"],
-                event["ended_ms"] + 1400,
-                "",
-            )
-        )
+    release = identity if kind == "release" else f"cloud-0/recorder-{event['agents'][0]}"
+    rows = [*_decided(event), *_delivered(event, release), *_ended(event)]
     details = [{"label": "pose.position.x", "value": "1.0"}, {"label": "pose.position.y", "value": "2.0"}]
     return [
         {
@@ -495,3 +435,43 @@ def steps(event: Document, kind: str, identity: str) -> list[Document]:
         }
         for step, of, key, title, text, time, end, link in rows
     ]
+
+
+def _decided(event: Document) -> list[ChainRow]:
+    """The rows from the message to the plan."""
+    began = event["began_ms"]
+    topic = event["causes"][0]["topic"]
+    agents = ", ".join(event["agents"])
+    plan = f"20261126-100000-{event['id']}"
+    planned = (f"deploy(recording): {agents} {REASON}", "1 release created, 2 changed")
+    return [
+        ("message", None, topic, topic, "pose.position.x = 1.0, pose.position.y = 2.0", began - 13, None, ""),
+        ("event", "event", event["id"], RULE, f"{agents}: distance_m = 399.8", began, None, ""),
+        ("task", "task", event["task"], event["task"], "Ready: all releases run", began + 17, began + 2900, ""),
+        ("plan", "plan", plan, *planned, began + 27, began + 2900, ""),
+    ]
+
+
+def _delivered(event: Document, release: str) -> list[ChainRow]:
+    """The rows from the pull request to the pod."""
+    began = event["began_ms"]
+    commit = hex_word(event["id"], 40)
+    forge = "http://forge.example.com"
+    argocd = "http://argocd.example.com"
+    checked = ("pull request 12", "checked by the gate: evidence, digests, schemas, scope")
+    signed = (commit[:12], "on main, signed by the gate")
+    synced = (release.replace("/", "-"), "Synced Healthy")
+    runs = (f"{release}-5d9f", "Running on cloud-0")
+    return [
+        ("pull request", None, "12", *checked, began + 480, began + 880, f"{forge}/pulls/12"),
+        ("commit", "commit", commit, *signed, began + 880, None, f"{forge}/commit/{commit}"),
+        ("Application", "release", release, *synced, began + 940, began + 1700, argocd),
+        ("pod", "pod", f"{release}-5d9f", *runs, began + 1710, began + 2880, ""),
+    ]
+
+
+def _ended(event: Document) -> list[ChainRow]:
+    """The row of the event's end, if it has ended."""
+    ended = event["ended_ms"]
+    says = ("the event ended", "500 m apart: the task was withdrawn")
+    return [("end", None, event["id"], *says, ended, ended + 1400, "")] if ended else []

@@ -86,15 +86,7 @@ def document(
         "verified": list(verified),
         "applications": list(applications),
         "findings": [
-            {
-                "finding": finding.kind,
-                "place": finding.place,
-                "where": finding.where,
-                "what": finding.what,
-                "means": finding.meaning,
-                "commit": finding.commit or None,
-                "concerns": whole or finding.commit in commits or bool(names & set(finding.about)),
-            }
+            _finding(finding, whole or finding.commit in commits or bool(names & set(finding.about)))
             for finding in findings
         ],
         "findings_accepted": accepted,
@@ -102,6 +94,19 @@ def document(
             *_limits(answered, merges, outcomes, applications, scope),
             *_limits_of_policies([row for one in (*ran, *changes) for row in one["policies"]]),
         ],
+    }
+
+
+def _finding(finding: Finding, concerns: bool) -> Row:
+    """The row of a finding. `concerns`: it has to do with what was asked for."""
+    return {
+        "finding": finding.kind,
+        "place": finding.place,
+        "where": finding.where,
+        "what": finding.what,
+        "means": finding.meaning,
+        "commit": finding.commit or None,
+        "concerns": concerns,
     }
 
 

@@ -242,17 +242,22 @@ def replay(
             detector.settle()
             _turns(detector, source)  # what processes answered to the last messages
         result.edges = sorted(collector.edges, key=lambda edge: edge.stamp)
-        result.unseen = detector.unseen.topics()
-        result.apart = apart_documents(detector.engine)
-        result.incomplete = list(_incomplete_rules(detector))
-        result.begin = result.first - clock.lag
-        result.problems = [*clock.problems(result.begin), *_unseen_problems(result)]
-        result.problems += [
-            f"{name}: not read: {SUBSCRIPTIONS_MAX} topics are" for name in sorted(set(clock.seen) - set(source.inputs))
-        ]
+        _judge(result, detector, clock, source)
     finally:
         detector.stop()
     return result
+
+
+def _judge(result: ReplayResult, detector: EventDetector, clock: _Clock, source: BagTopics) -> None:
+    """Write into the result what rules did not see, did not compare and could not read, and other remarks."""
+    result.unseen = detector.unseen.topics()
+    result.apart = apart_documents(detector.engine)
+    result.incomplete = list(_incomplete_rules(detector))
+    result.begin = result.first - clock.lag
+    result.problems = [*clock.problems(result.begin), *_unseen_problems(result)]
+    result.problems += [
+        f"{name}: not read: {SUBSCRIPTIONS_MAX} topics are" for name in sorted(set(clock.seen) - set(source.inputs))
+    ]
 
 
 def _turns(detector: EventDetector, source: BagTopics) -> None:
