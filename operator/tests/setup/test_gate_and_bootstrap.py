@@ -136,6 +136,28 @@ def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BootstrapStage]:
         database.close()
 
 
+def repositories(seed: Path) -> list[dict[str, Any]]:
+    """Both repositories, whose first files are below `seed`."""
+    return [
+        {
+            "name": "robotkube/deployment",
+            "description": "What runs",
+            "branch": "main",
+            "seed": str(seed / "deployment"),
+            "access": {"manager": "read", "gate": "write", "argocd": "read", "operator-team": "write"},
+            "main": ["gate"],
+        },
+        {
+            "name": "robotkube/catalogue",
+            "description": "What may run",
+            "branch": "main",
+            "seed": str(seed / "catalogue"),
+            "access": {"manager": "read", "gate": "read", "publisher": "write"},
+            "main": ["publisher"],
+        },
+    ]
+
+
 def bootstrap_settings(stage: BootstrapStage, folder: Path, passwords: dict[str, str]) -> dict[str, Any]:
     def account(name: str, username: str = "") -> dict[str, str]:
         return {"name": name, "credentials": account_folder(folder, name, username or name, passwords[name])}
@@ -157,24 +179,7 @@ def bootstrap_settings(stage: BootstrapStage, folder: Path, passwords: dict[str,
                 {"name": name, "packages": {"publisher": "write", "argocd": "read"}}
                 for name in ("robotkube", "staging")
             ],
-            "repositories": [
-                {
-                    "name": "robotkube/deployment",
-                    "description": "What runs",
-                    "branch": "main",
-                    "seed": str(folder / "seed" / "deployment"),
-                    "access": {"manager": "read", "gate": "write", "argocd": "read", "operator-team": "write"},
-                    "main": ["gate"],
-                },
-                {
-                    "name": "robotkube/catalogue",
-                    "description": "What may run",
-                    "branch": "main",
-                    "seed": str(folder / "seed" / "catalogue"),
-                    "access": {"manager": "read", "gate": "read", "publisher": "write"},
-                    "main": ["publisher"],
-                },
-            ],
+            "repositories": repositories(folder / "seed"),
             "webhooks": [
                 {
                     "repository": "robotkube/deployment",

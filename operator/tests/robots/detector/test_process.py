@@ -9,6 +9,7 @@ import threading
 import time
 import urllib.error
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
@@ -69,6 +70,34 @@ def receiver() -> Iterator[Receiver]:
     thread.join(SECONDS_MAX)
 
 
+@dataclass(frozen=True)
+class Pages:
+    """What a detector says at its port."""
+
+    port: int
+
+    def text(self, path: str) -> str:
+        return read(self.port, path)
+
+    def page(self, path: str) -> Any:
+        return json.loads(self.text(path))
+
+    def events(self) -> Any:
+        return self.page("/events")["events"]
+
+    def counts(self) -> list[int]:
+        """The poses of one vehicle in each second."""
+        counted = self.page("/input")["topics"]["/vehicles/vehicle_00/pose"]
+        arrived = [count for _, count in counted["seconds"]]
+        assert sum(arrived) == counted["received"]
+        return arrived
+
+    def steady(self) -> bool:
+        """100 Hz, and so many that the seconds in which one stalled do not count."""
+        whole = self.counts()[1:-1]
+        return sum(whole) > 200 and 90 * len(whole) <= sum(whole) <= 110 * len(whole)
+
+
 def test_live_poses_become_tasks_until_the_rule_changes(
     api: Api, start: Callable[..., subprocess.Popen[str]], tmp_path: Path, unused_port: int
 ) -> None:
@@ -83,46 +112,27 @@ def test_live_poses_become_tasks_until_the_rule_changes(
         ROBOTKUBE_HEALTH_PORT=str(unused_port),
     )  # fmt: skip
 
-    def text(path: str) -> str:
-        return read(unused_port, path)
-
-    def page(path: str) -> Any:
-        return json.loads(text(path))
-
-    def events() -> Any:
-        return page("/events")["events"]
-
-    def counts() -> list[int]:
-        counted = page("/input")["topics"]["/vehicles/vehicle_00/pose"]
-        arrived = [count for _, count in counted["seconds"]]
-        assert sum(arrived) == counted["received"]
-        return arrived
-
-    def steady() -> bool:
-        """100 Hz, and so many that the seconds in which one stalled do not count."""
-        whole = counts()[1:-1]
-        return sum(whole) > 200 and 90 * len(whole) <= sum(whole) <= 110 * len(whole)
-
+    pages = Pages(unused_port)
     move(tmp_path, NEAR)
     start(*PUBLISHER, str(tmp_path), "60")
     until(lambda: is_up(unused_port))
     for number, metres in enumerate((NEAR, FAR, NEAR), 1):
         move(tmp_path, metres)
-        until(lambda number=number: len(events()) == number and events()[-1]["done"])
+        until(lambda number=number: len(pages.events()) == number and pages.events()[-1]["done"])
     assert [call for call, _ in api.calls] == ["create", "delete", "create"]
     assert api.calls[0] == ("create", api.calls[1][1])
-    assert [event["edge"] for event in events()] == ["start", "stop", "start"]
-    assert events()[0]["task"] == f"cloud-0/{api.calls[0][1]}"
-    assert all(event["stamp"] <= event["time"] <= event["done"] <= time.time_ns() for event in events())
-    until(steady)
+    assert [event["edge"] for event in pages.events()] == ["start", "stop", "start"]
+    assert pages.events()[0]["task"] == f"cloud-0/{api.calls[0][1]}"
+    assert all(event["stamp"] <= event["time"] <= event["done"] <= time.time_ns() for event in pages.events())
+    until(pages.steady)
 
     # refused settings leave the old ones at work, and the buffers as they are
-    before = page("/status")["topics"]["/vehicles/vehicle_00/pose"]["buffer"]["messages"]
+    before = pages.page("/status")["topics"]["/vehicles/vehicle_00/pose"]["buffer"]["messages"]
     wrong = {**SETTINGS, "topics": topics, "rules": [{**SETTINGS["rules"][0], "stop_distance_m": 1}]}
     api.settings = write_mapping(wrong)
     api.changed.set()
     until(lambda: api.warnings)
-    status = page("/status")
+    status = pages.page("/status")
     expected = "config.yaml: rules[0].stop_distance_m: must not be less than start_distance_m"
     assert status["settings"]["refused"].startswith(expected)
     assert status["rules"]["names"] == ["near"]
@@ -130,9 +140,9 @@ def test_live_poses_become_tasks_until_the_rule_changes(
     assert (warning["type"], warning["reason"]) == ("Warning", "SettingsRefused")
     assert warning["regarding"]["name"] == "event-detector"
     assert warning["note"].startswith(expected)
-    assert "robotkube_detector_settings_refused 1" in text("/metrics")
+    assert "robotkube_detector_settings_refused 1" in pages.text("/metrics")
     with pytest.raises(urllib.error.HTTPError, match="503"):
-        text("/readyz")
+        pages.text("/readyz")
     assert status["not_ready"].startswith(f"the newest settings are refused, the ones before are at work: {expected}")
 
     # vehicle-01 is near now; without the rule its task goes
@@ -140,10 +150,10 @@ def test_live_poses_become_tasks_until_the_rule_changes(
     api.settings = write_mapping({"name": SETTINGS["name"], "topics": topics})
     api.changed.set()
     until(lambda: not api.objects)
-    until(lambda: page("/status")["topics"]["/vehicles/vehicle_00/pose"]["buffer"]["messages"] > before)
-    status = page("/status")
+    until(lambda: pages.page("/status")["topics"]["/vehicles/vehicle_00/pose"]["buffer"]["messages"] > before)
+    status = pages.page("/status")
     assert (status["settings"]["refused"], status["rules"]["names"]) == ("", [])
-    assert text("/readyz") == "ok\n"
+    assert pages.text("/readyz") == "ok\n"
     assert status["topics"]["/vehicles/vehicle_00/pose"]["buffer"]["cleared"] == 0
     detector.send_signal(signal.SIGTERM)
     assert detector.wait(8.0) == 0
