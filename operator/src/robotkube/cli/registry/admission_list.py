@@ -8,7 +8,6 @@ and are not go to stderr.
 from __future__ import annotations
 
 import argparse
-import re
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -20,7 +19,7 @@ from robotkube.cli.output import Table
 from robotkube.cli.platform import Platform
 from robotkube.cli.registry.submit import CATALOGUE, choosing_forge, forge_access
 from robotkube.errors import InputError
-from robotkube.foundation.documents.core.patterns import IMAGE_BY_DIGEST
+from robotkube.foundation.documents.core.patterns import IMAGE_BY_DIGEST, TEST_NAMESPACE
 from robotkube.foundation.forge.adapters.git import GitClone
 from robotkube.registry.admission.core.allowed import digests_of
 from robotkube.registry.admission.core.domain import PROJECT, Domain
@@ -31,7 +30,6 @@ from robotkube.registry.admission.loops.following import CatalogueListing
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 
 NAMESPACE = "robotkube"
-TEST_NAMESPACE = re.compile(r"robotkube-suite-[0-9]+")
 COLUMNS = ("namespace", "kind", "name", "why")
 
 

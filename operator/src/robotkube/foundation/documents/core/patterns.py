@@ -59,6 +59,7 @@ PLATFORM = re.compile(r"[a-z0-9]+/[a-z0-9]+(/[a-z0-9]+)?", re.ASCII)  # such as 
 SUITE_NAME = re.compile(r"[a-z]([a-z0-9-]{0,38}[a-z0-9])?", re.ASCII)
 SUITE_VERSION = re.compile(r"[0-9A-Za-z][0-9A-Za-z._-]{0,31}", re.ASCII)
 SUITE_RUN = re.compile(_HEX_32, re.ASCII)
+TEST_NAMESPACE = re.compile(r"robotkube-suite-[0-9]+", re.ASCII)  # of the suite-runner's pool, as the chart makes it
 ATTEMPT = re.compile(r"[0-9A-Za-z._-]{0,64}", re.ASCII)
 PLAN = re.compile(r"\d{8}-\d{6}-[0-9a-f]{6}", re.ASCII)
 PLAYER_RUN = re.compile(_FILE_NAME_100, re.ASCII)
