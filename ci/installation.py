@@ -50,8 +50,8 @@ TIMED_OUT = "timed out waiting for the condition"  # what Helm and kubectl say, 
 
 @dataclass(frozen=True)
 class Installer:
-    """`kubectl` and `helm` against one cluster; `work` is a folder for the values files that are generated, `profile`
-    what the chart is told on this kind of cluster."""
+    """The installer of a platform: `kubectl` and `helm` against one cluster; `work` is a folder for the values files
+    that are generated, `profile` what the chart is told on this kind of cluster."""
 
     binaries: Path
     kubeconfig: Path

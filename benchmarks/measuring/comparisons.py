@@ -23,7 +23,8 @@ from ci.machine import preparing
 
 @dataclass(frozen=True)
 class Comparison:
-    """`ours` and `baseline` in `unit`; `ratio_max` is what ours / baseline may be."""
+    """What was measured beside its baseline: `ours` and `baseline` in `unit`; `ratio_max` is what ours / baseline may
+    be."""
 
     name: str
     unit: str

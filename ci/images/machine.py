@@ -25,7 +25,8 @@ APT_FILE, PIP_FILE = "etc/apt/apt.conf.d/zz-robotkube-build", "etc/pip.conf"
 
 @dataclass(frozen=True)
 class Lent:
-    """`volumes` as `source:target:ro` for the builder; `placeholders` are the targets without a leading slash."""
+    """What a build is lent of this machine: `volumes` as `source:target:ro` for the builder; `placeholders` are the
+    targets without a leading slash."""
 
     volumes: tuple[str, ...]
     placeholders: frozenset[str]

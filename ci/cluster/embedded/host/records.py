@@ -81,7 +81,7 @@ class ClusterFolders:
 
 @dataclass
 class Record:
-    """`specification` says what was asked for; `complete` is set when the start had succeeded."""
+    """A cluster's record. `specification` says what was asked for; `complete` is set when the start had succeeded."""
 
     specification: str = ""
     complete: bool = False

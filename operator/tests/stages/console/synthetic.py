@@ -25,7 +25,7 @@ SHARING = slice(10, 13)  # of the vehicles: these share the Node of the first of
 
 @dataclass
 class Fleet:
-    """`agents` vehicles and a cloud; `releases` in all; `away`: names of sources that do not answer."""
+    """A fleet: `agents` vehicles and a cloud; `releases` in all; `away`: names of sources that do not answer."""
 
     agents: int
     releases: int = 60

@@ -31,7 +31,8 @@ def broker_for_events(folder: Path) -> Iterator[pods.Broker]:
 
 
 class EventPeer:
-    """`heard`: the events in their order; `connections`: how often the broker took it in."""
+    """Who hears events at the broker. `heard`: the events in their order; `connections`: how often the broker took it
+    in."""
 
     def __init__(self, broker: pods.Broker) -> None:
         account = BrokerAccount("127.0.0.1", broker.port, PEER, pods.password(PEER))

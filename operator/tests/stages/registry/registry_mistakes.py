@@ -25,7 +25,7 @@ Change = Callable[[Path], object]
 
 @dataclass(frozen=True)
 class Mistake:
-    """`make` changes the folder; then the finding in `file` under `key` says `text`."""
+    """A mistake in the registry: `make` changes the folder; then the finding in `file` under `key` says `text`."""
 
     name: str
     make: Change

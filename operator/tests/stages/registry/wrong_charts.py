@@ -19,8 +19,8 @@ VALUES, SCHEMA = "charts/{name}/values.yaml", "charts/{name}/values.schema.json"
 
 @dataclass(frozen=True)
 class Mistake:
-    """`changes`: file -> (text, text instead). The suite that refuses it, and words of the failed check where it is a
-    suite that runs nothing."""
+    """A mistake in a chart. `changes`: file -> (text, text instead). The suite that refuses it, and words of the failed
+    check where it is a suite that runs nothing."""
 
     changes: Mapping[str, Sequence[tuple[str, str]]]
     suite: str

@@ -20,8 +20,9 @@ NODE, ENTRY = "charts/{name}/files/node.py", "registry/charts/{name}/0.1.0.yaml"
 
 @dataclass(frozen=True)
 class Mistake:
-    """`changes`: file -> (text, text instead), each text stands there once. `check`, `found` and `fix` are words
-    of the failed check that says it, after the set's name when `per_set`; `alone`: no other check fails."""
+    """A mistake in an interface. `changes`: file -> (text, text instead), each text stands there once. `check`, `found`
+    and `fix` are words of the failed check that says it, after the set's name when `per_set`; `alone`: no other check
+    fails."""
 
     changes: Mapping[str, Sequence[tuple[str, str]]]
     check: str

@@ -47,7 +47,7 @@ class ClusterWatches:
         agents: Sequence[Object],
         woken: Callable[[], None],
     ) -> None:
-        """`namespaces`: the platform's and Argo CD's."""
+        """Watches that have not begun. `namespaces`: the platform's and Argo CD's."""
         platform, argocd = namespaces
         self._model = model
         self._agents = {str(agent["name"]): agent for agent in agents}

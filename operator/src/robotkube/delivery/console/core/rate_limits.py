@@ -10,7 +10,7 @@ SOURCES_MAX = 10_000
 
 @dataclass(frozen=True)
 class RequestRate:
-    """`burst` requests at once, and `per_second` for as long as it likes."""
+    """A rate at which somebody may ask: `burst` requests at once, and `per_second` for as long as it likes."""
 
     burst: float
     per_second: float

@@ -32,8 +32,8 @@ def speaker(topic: str) -> str:
 
 @dataclass(frozen=True)
 class Borders:
-    """`scopes`: agent -> its scope, which is called by its manager's name; empty where one manager has everything, so
-    that there are no borders. `consents`: what main lets pass."""
+    """The borders between scopes. `scopes`: agent -> its scope, which is called by its manager's name; empty where one
+    manager has everything, so that there are no borders. `consents`: what main lets pass."""
 
     scopes: Mapping[str, str] = field(default_factory=dict)
     consents: LinkConsents = field(default_factory=LinkConsents)

@@ -70,8 +70,9 @@ UNDECIDED = Refused(POSTPONED, "other pre-emptions are decided first; ask again"
 
 @dataclass(frozen=True)
 class ManagerSettings:
-    """`agents` as declared, also reserved ones; `charts_url` is oci://host/organisation; `operators` is the manager's
-    scope with the narrower ones of operators; a node not ready for longer than `node_lost_seconds` is lost."""
+    """What a manager is set up with: `agents` as declared, also reserved ones; `charts_url` is oci://host/organisation;
+    `operators` is the manager's scope with the narrower ones of operators; a node not ready for longer than
+    `node_lost_seconds` is lost."""
 
     agents: tuple[Agent, ...]
     charts_url: str

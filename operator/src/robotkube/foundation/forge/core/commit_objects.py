@@ -26,7 +26,7 @@ WHERE = "commit objects"
 
 @dataclass(frozen=True)
 class CommitObjects:
-    """`commit` is the id of one of `objects`, which are kind and content."""
+    """The objects of a commit: `commit` is the id of one of `objects`, which are kind and content."""
 
     commit: str
     objects: tuple[tuple[str, bytes], ...]

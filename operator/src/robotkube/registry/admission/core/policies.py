@@ -259,8 +259,8 @@ def _workloads(
     rules: Sequence[Validation],
     parameters: str = "",
 ) -> Policy:
-    """`strange`: variables of which the last has the images that are not listed. Those that an update adds count; the
-    list is asked first, since most are listed."""
+    """The validations of workloads. `strange`: variables of which the last has the images that are not listed. Those
+    that an update adds count; the list is asked first, since most are listed."""
     unlisted = {"name": "unlisted", "expression": "variables.strange.filter(i, !(i in variables.known))"}
     variables = [*image_variables(), *strange, unlisted]
     return Policy(f"robotkube-{name}", RESOURCES, place, variables, [*rules, _no_host()], parameters)

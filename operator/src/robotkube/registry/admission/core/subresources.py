@@ -59,7 +59,7 @@ def _binding() -> Validation:
 
 
 def _status(networks: bool) -> Validation:
-    """`networks`: annotations of pods that are a network's may change."""
+    """The rule for the status of pods. `networks`: annotations of pods that are a network's may change."""
     ways = [f"{PART} != 'status'", CREATING, one_of(controllers(*KEEPERS)), f"!({changed(WORDS)})"]
     if networks:
         ways.append(f"{RESOURCE} == 'pods' && {_of_networks()}")

@@ -15,7 +15,7 @@ REPOSITORY = re.compile(rf"{PART}(?:/{PART})*", re.ASCII)  # as registries take 
 
 @dataclass(frozen=True)
 class RegistryPlace:
-    """`host` with a port where it has one, and the `path` below which everything goes."""
+    """A place in a registry: `host` with a port where it has one, and the `path` below which everything goes."""
 
     host: str
     path: str

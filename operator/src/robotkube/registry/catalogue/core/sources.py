@@ -46,8 +46,8 @@ class ChartFolder:
 
 @dataclass(frozen=True)
 class CatalogueSources:
-    """`files` are those of the registry (path inside it -> text), `root` its folder as the user named it, `folders`
-    charts by name, `findings` what could not be read."""
+    """The sources of the catalogue: `files` are those of the registry (path inside it -> text), `root` its folder as
+    the user named it, `folders` charts by name, `findings` what could not be read."""
 
     root: str
     files: Mapping[str, str]

@@ -25,8 +25,9 @@ class BuildError(InputError):
 
 @dataclass(frozen=True)
 class Buildah:
-    """`storage` holds images and layers and is kept between runs; `log` collects the output of all commands; `program`
-    is buildah or podman; `fetching`: base images that are not in the storage are asked of their registries."""
+    """Images by buildah or podman. `storage` holds images and layers and is kept between runs; `log` collects the
+    output of all commands; `program` is buildah or podman; `fetching`: base images that are not in the storage are
+    asked of their registries."""
 
     storage: Path
     log: Path

@@ -43,8 +43,8 @@ ENVELOPES_READ_MAX = 200  # of one chart
 
 @dataclass(frozen=True)
 class VerifyingSettings:
-    """`staging`, `verified`: organisations of the OCI registry; `charts_url` is that of the latter
-    (`oci://host/organisation`), `policy_uri` names the policy in summaries, `verifier` who verifies."""
+    """Settings of verifying: `staging`, `verified`, organisations of the OCI registry; `charts_url` is that of the
+    latter (`oci://host/organisation`), `policy_uri` names the policy in summaries, `verifier` who verifies."""
 
     staging: str
     verified: str

@@ -25,7 +25,7 @@ SEPARATOR = re.compile(r"[();|&\n]+")
 
 @dataclass(frozen=True)
 class ImageReference:
-    """`<host>/<repository>@<digest>`."""
+    """The reference of an image: `<host>/<repository>@<digest>`."""
 
     host: str
     repository: str

@@ -36,7 +36,8 @@ class MemorySample:
 
 @dataclass(frozen=True)
 class MemoryJudgement:
-    """`problems` are containers that grew too much; `note` says what was measured, or that nothing was and why."""
+    """A judgement of memory: `problems` are containers that grew too much; `note` says what was measured, or that
+    nothing was and why."""
 
     problems: tuple[str, ...]
     note: str

@@ -105,8 +105,9 @@ class BridgedTopic:
 
 @dataclass(frozen=True)
 class BridgeSettings:
-    """`config.yaml` of a bridge; topics by name. `trace` goes with every message; `publish_types`: definitions of the
-    types are retained at the broker; `publish_gaps`: what is missing in what comes in is published on GAPS_TOPIC."""
+    """The settings of a bridge, its `config.yaml`; topics by name. `trace` goes with every message; `publish_types`:
+    definitions of the types are retained at the broker; `publish_gaps`: what is missing in what comes in is published
+    on GAPS_TOPIC."""
 
     agent: str
     outgoing: Mapping[str, BridgedTopic]

@@ -133,7 +133,8 @@ class DeliveryJournal:
         return not (self._thread.is_alive() or self._unwritten or self._removed)
 
     def document(self) -> dict[str, Any]:
-        """`kept`: on the disk now; `unkept`: were in memory only, at least for a while; `replayed`: taken over."""
+        """The counts as the status has them. `kept`: on the disk now; `unkept`: were in memory only, at least for a
+        while; `replayed`: taken over."""
         with self._lock:
             kept = len(self._entries.keys() - self._unwritten.keys() - self._writing.keys())
         numbers = {"kept": kept, "unkept": self.unkept, "replayed": self.replayed, "bytes": self._delivery_log.size}

@@ -37,8 +37,8 @@ class RegistryConnection:
     def __init__(
         self, url: str, user: str, password: str, seconds: float | None = None, authority: Path | None = None
     ) -> None:
-        """`seconds`: how long one connection, read or write may take, where TIMEOUT is too long. `authority`: file with
-        an authority that is believed beside the usual ones."""
+        """A connection that is made when it is needed. `seconds`: how long one connection, read or write may take,
+        where TIMEOUT is too long. `authority`: file with an authority that is believed beside the usual ones."""
         self.url = url.rstrip("/")
         self._user = user
         self._client = KeptConnections(
