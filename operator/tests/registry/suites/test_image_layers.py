@@ -12,7 +12,7 @@ import zstandard
 
 from robotkube.errors import InputError
 from robotkube.registry.suites.adapters import image_layers, kept_layers
-from robotkube.registry.suites.adapters.image_layers import Keeping, read_layer
+from robotkube.registry.suites.adapters.image_layers import KeptContents, read_layer
 from robotkube.registry.suites.adapters.kept_layers import KeptLayers
 from tests.stages.registry.made_layers import COMPRESSIONS, ELF, FILES, digest_of, hex_of, made_layer
 
@@ -188,7 +188,7 @@ def test_what_usual_tools_write_is_read() -> None:
 
 
 def test_files_that_are_asked_for_are_kept_by_digest(tmp_path: Path) -> None:
-    layer = read_layer(iter([made_layer(FILES)]), Keeping(lambda path, head: path.endswith("script"), tmp_path))
+    layer = read_layer(iter([made_layer(FILES)]), KeptContents(lambda path, head: path.endswith("script"), tmp_path))
     script = next(one for one in layer.entries if one.path == "usr/bin/script")
     assert script.sha256 == hex_of(b"#!/bin/sh\n")
     assert [file.name for file in tmp_path.iterdir()] == [script.sha256]

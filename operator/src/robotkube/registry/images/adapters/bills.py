@@ -28,7 +28,7 @@ from typing import IO, Any, Protocol
 from robotkube.errors import InputError
 from robotkube.registry.images.adapters.buildah import BuildError
 from robotkube.registry.images.adapters.normalising import EPOCH_TEXT, canonical_json
-from robotkube.registry.suites.adapters.image_layers import ELF, Keeping, read_layer
+from robotkube.registry.suites.adapters.image_layers import ELF, KeptContents, read_layer
 from robotkube.registry.suites.core.image_checks import BILL_TYPE
 from robotkube.registry.suites.core.image_contents import Entry, contents_of
 
@@ -141,8 +141,8 @@ class _Image:
 
     def read(self, folder: Path) -> _ImageFiles:
         """What the image's layers leave; `folder` gets the files that tools read."""
-        keeping = Keeping(_is_read, folder)
-        layers = [read_layer(_pieces(self._blob(layer["digest"])), keeping) for layer in self._manifest["layers"]]
+        kept = KeptContents(_is_read, folder)
+        layers = [read_layer(_pieces(self._blob(layer["digest"])), kept) for layer in self._manifest["layers"]]
         return _ImageFiles(folder, {path[1:]: entry for path, entry in contents_of(layers).files.items()})
 
 

@@ -37,7 +37,7 @@ ZSTD = (b"\x28\xb5\x2f\xfd", b"\x2a\x4d\x18")  # the second, after one byte, is 
 
 
 @dataclass(frozen=True)
-class Keeping:
+class KeptContents:
     """Which regular files are kept, by path and first four bytes, and the folder that gets them, named by their
     SHA-256."""
 
@@ -45,11 +45,11 @@ class Keeping:
     folder: Path
 
 
-def read_layer(blob: Iterator[bytes], keeping: Keeping | None = None) -> LayerContents:
+def read_layer(blob: Iterator[bytes], kept: KeptContents | None = None) -> LayerContents:
     """The contents of the layer in `blob`, which is read to its end. InputError: it is no layer, or beyond a bound."""
     source: io.BufferedReader[Any] = io.BufferedReader(_Chunks(blob), BLOCK_BYTES)
     try:
-        layer = _read(_Forward(unpacked(source)), keeping)
+        layer = _read(_Forward(unpacked(source)), kept)
         while source.read(BLOCK_BYTES):
             pass  # whoever gives the blob checks its digest at its end
     except (tarfile.TarError, zlib.error, zstandard.ZstdError, gzip.BadGzipFile, EOFError, UnicodeError) as error:
@@ -117,7 +117,7 @@ class _Forward:
         return data
 
 
-def _read(file: _Forward, keeping: Keeping | None) -> LayerContents:
+def _read(file: _Forward, kept: KeptContents | None) -> LayerContents:
     entries: list[Entry] = []
     hidden: list[str] = []
     emptied: list[str] = []
@@ -132,7 +132,7 @@ def _read(file: _Forward, keeping: Keeping | None) -> LayerContents:
             elif name.startswith(contents.WHITEOUT):
                 hidden.append(f"{folder}/{name.removeprefix(contents.WHITEOUT)}".lstrip("/"))
             elif path:
-                entries.append(_entry(tar, member, path, keeping))
+                entries.append(_entry(tar, member, path, kept))
             if len(entries) + len(hidden) + len(emptied) > ENTRIES_MAX:
                 raise InputError(f"a layer has more than {ENTRIES_MAX} entries; it is not read further")
     while rest := file.read(BLOCK_BYTES):
@@ -148,7 +148,7 @@ def _path(name: str) -> str:
     return "/".join(parts)
 
 
-def _entry(tar: tarfile.TarFile, member: tarfile.TarInfo, path: str, keeping: Keeping | None) -> Entry:
+def _entry(tar: tarfile.TarFile, member: tarfile.TarInfo, path: str, kept: KeptContents | None) -> Entry:
     if member.isdir():
         return Entry(path, contents.FOLDER)
     if member.issym():
@@ -159,14 +159,14 @@ def _entry(tar: tarfile.TarFile, member: tarfile.TarInfo, path: str, keeping: Ke
         return Entry(path, contents.OTHER)
     content = tar.extractfile(member)
     assert content is not None  # of a regular file there is one
-    return _file(content, path, keeping)
+    return _file(content, path, kept)
 
 
-def _file(content: IO[bytes], path: str, keeping: Keeping | None) -> Entry:
+def _file(content: IO[bytes], path: str, kept: KeptContents | None) -> Entry:
     """The entry of a regular file, of which no more is read than is needed."""
     head = content.read(len(ELF))
     is_elf = head == ELF
-    folder = keeping.folder if keeping and keeping.wanted(path, head) else None
+    folder = kept.folder if kept and kept.wanted(path, head) else None
     text = ""
     if contents.states_packages(path):
         head += content.read(TEXT_BYTES_MAX)
