@@ -212,7 +212,7 @@ def token(stage: Stage, account: str = "operator-team") -> dict[str, Any]:
 
 
 def asked(stage: Stage, verifier: str = VERIFIER) -> str:
-    """Where the console sends a browser."""
+    """The address to which the console sends a browser."""
     provider = stage.provider
     addresses = asyncio.run(provider.provider())
     return authorization_url(addresses, stage.sign_in, provider.client_id(), "state", verifier)

@@ -1,4 +1,4 @@
-"""Where the platform's images come from: the references of the values, a registry that has all of them, the defaults of
+"""The sources of the platform's images: the references of the values, a registry that has all of them, the defaults of
 a bundle's chart, and the official images by tag."""
 
 from __future__ import annotations

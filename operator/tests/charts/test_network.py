@@ -174,7 +174,7 @@ def of_ours(name: str) -> bool:
 def each_side(
     rules: Sequence[NetworkPolicy], everybody: Mapping[str, NetworkPeer], wanted: set[Reach]
 ) -> dict[str, Any]:
-    """Where one side alone would allow more or less than the table: each must hold without the other."""
+    """The pairs for which one side alone would allow more or less than the table: each must hold without the other."""
     into = table([replace(rule, egress=None) for rule in rules], everybody)
     out = table([replace(rule, ingress=None) for rule in rules], everybody)
     return {

@@ -311,7 +311,7 @@ def test_a_container_beside_the_own_ones_takes_its_pod_along(stage: Stage) -> No
 
 @pytest.fixture
 def as_remover(stage: Stage) -> Iterator[str]:
-    """Where the API server takes calls as the remover's account."""
+    """The way to the API server on which calls are the remover's account's."""
     kubeconfig = stage.cluster.kubeconfig
     environment = {**os.environ, "KUBECONFIG": str(kubeconfig), "HOME": str(kubeconfig.parent)}
     words = [program("kubectl"), "proxy", "--port=0", f"--as={REMOVER}"]

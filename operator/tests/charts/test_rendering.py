@@ -58,7 +58,8 @@ def test_application_charts_render_as_committed(
 
 
 def restricted_problems(pod: Object) -> list[str]:
-    """Where a pod breaks Pod Security `restricted`, or our own rules: read-only root, resources, images by name."""
+    """The places at which a pod breaks Pod Security `restricted`, or our own rules: read-only root, resources, images
+    by name."""
     problems = [f"{key} is set" for key in ("hostNetwork", "hostPID", "hostIPC") if pod.get(key)]
     security = pod.get("securityContext", {})
     if security.get("seccompProfile") != {"type": "RuntimeDefault"} or security.get("runAsNonRoot") is not True:

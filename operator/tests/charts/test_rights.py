@@ -425,7 +425,7 @@ def test_no_account_reaches_into_anothers_scope(asking: httpx.Client, question: 
 
 @pytest.fixture
 def as_detector(installed: Cluster) -> Iterator[str]:
-    """Where the API server takes calls as the detector's account in cloud-0."""
+    """The way to the API server on which calls are those of the detector's account in cloud-0."""
     environment = {**os.environ, "KUBECONFIG": str(installed.kubeconfig), "HOME": str(installed.kubeconfig.parent)}
     account = "--as=system:serviceaccount:cloud-0:event-detector"
     proxy = subprocess.Popen(

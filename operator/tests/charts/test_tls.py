@@ -34,7 +34,7 @@ def names(rendered: Any) -> set[str]:
 
 
 def ports(rendered: Any) -> list[int]:
-    """Where the broker listens: the same in its settings, its pod and its Service."""
+    """The ports at which the broker listens: the same in its settings, its pod and its Service."""
     text = rendered.one("ConfigMap", "broker")["data"]["mosquitto.conf"]
     numbers = [int(line.split()[1]) for line in text.splitlines() if line.startswith("listener ")]
     [container] = dict(rendered.pods)["Deployment/broker"]["containers"]

@@ -1,4 +1,4 @@
-"""Where the entries of the catalogue come from: the platform when one answers, else the sources that lie here."""
+"""Sources of the catalogue's entries: the platform when one answers, else the sources that lie here."""
 
 from __future__ import annotations
 

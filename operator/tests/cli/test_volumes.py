@@ -1,4 +1,4 @@
-"""Where segments are looked for: what the option says, else the claim's folder on this machine."""
+"""Folders in which segments are looked for: what the option says, else the claim's folder on this machine."""
 
 from __future__ import annotations
 

@@ -93,7 +93,7 @@ def cut_a_cloud_from_a_segment(run: Any) -> None:
 
 
 def entry_offset(run: Any, entry: dict[str, Any]) -> int:
-    """Where the message's bytes stand in the segment."""
+    """The offset of the message's bytes in the segment."""
     data = (run.claim / entry["segment"]).read_bytes()
     seconds, nanoseconds = divmod(entry["stamp"], SECOND)
     needle = b"\x00\x01\x00\x00" + seconds.to_bytes(4, "little") + nanoseconds.to_bytes(4, "little")

@@ -1,4 +1,4 @@
-"""In what order tests on the shared platform run: who takes that away comes after all who need it."""
+"""The order in which tests on the shared platform run: who takes that away comes after all who need it."""
 
 from __future__ import annotations
 

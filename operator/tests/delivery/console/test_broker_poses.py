@@ -77,7 +77,8 @@ def test_poses_come_and_a_broker_that_is_away_is_said(broker: pods.Broker, model
 
 
 def position(broker: pods.Broker, model: ReadModel, x: float) -> float:
-    """Where the vehicle is shown after it said `x`, again and again until that is seen: the first may be too early."""
+    """The place at which the vehicle is shown after it said `x`, again and again until that is seen: the first may be
+    too early."""
     sender = Connection(broker.port, "vehicle-00", pods.password("vehicle-00"))
 
     def seen() -> bool:

@@ -78,7 +78,7 @@ class Slots:
 
 
 def places(resolution: Resolution) -> dict[str, str]:
-    """Where each demand is, or why not."""
+    """The place of each demand, or why it has none."""
     return {key.split("/")[1]: _word(outcome) for key, outcome in resolution.outcomes.items()}
 
 

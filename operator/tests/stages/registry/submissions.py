@@ -63,7 +63,7 @@ def chart(
 
 
 def entry_path(packed: PackedChart) -> str:
-    """Where its entry stands."""
+    """The path of its entry."""
     return f"charts/{packed.name}/{packed.version}.yaml"
 
 

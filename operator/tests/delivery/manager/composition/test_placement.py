@@ -1,4 +1,4 @@
-"""Where services go: room, distance, what a task says, lost nodes; and what they share there."""
+"""Places of services: room, distance, what a task says, lost nodes; and what they share there."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def certificate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def objects_url(gate: RunningGate, certificate: Path) -> Iterator[str]:
-    """Where the gate takes commit objects by HTTPS."""
+    """The address at which the gate takes commit objects by HTTPS."""
     posts = objects_posts(gate.gate, "robotkube/deployment", {"manager": manager_secret()})
     server = WebServer(HERE, 0, list, str, signed=posts, certificate=certificate)
     server.start()
