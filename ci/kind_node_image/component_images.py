@@ -84,10 +84,10 @@ def required(kubeadm: Path, version: str) -> list[str]:
 
 def sandbox_image(containerd_settings: str) -> str:
     """What kind's settings of containerd call the image of sandboxes."""
-    image = SANDBOX.search(containerd_settings)
-    if image is None:
+    found = SANDBOX.search(containerd_settings)
+    if found is None:
         raise SetUpError("kind's settings of containerd name no sandbox_image: this version of kind is not known here")
-    return image[1]
+    return found[1]
 
 
 def _programs(folder: Path, files: Mapping[str, Path], links: Iterable[str] = ()) -> MadeLayer:

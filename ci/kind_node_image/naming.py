@@ -42,5 +42,5 @@ def reference() -> str:
 
 
 def cache_folder() -> Path:
-    """The folder in which it is kept, with what it is made of."""
+    """Where it is kept, with what it is made of."""
     return user_cache() / "kind-node-image"
