@@ -70,7 +70,7 @@ class ServerSpeech:
 
 
 def argocd(present: ArgoCd, settings: Mapping[str, Any]) -> CheckVerdict:
-    """The check of Argo CD: it has its definitions, the parts that carry releases out run, and managers reach its server."""
+    """The check of Argo CD: it has its definitions, its parts that carry releases out run, managers reach its server."""
     installed, reached = argocd_installed(present), _reached(present, settings)
     unseen = "; ".join(filter(None, (installed.unseen, reached.unseen)))
     said = ", ".join(filter(None, (installed.says, reached.says)))
