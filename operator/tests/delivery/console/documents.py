@@ -65,6 +65,7 @@ def plans(*more: dict[str, Any], **changed: Any) -> dict[str, Any]:
         "error": None,
         "waits": None,
         "differences": {"values": [{"release": BRIDGE, "path": "version", "before": '"1"', "after": '"2"'}], "more": 0},
+        "choices": [{"task": TASK, "choice": "recorder 0.2.3 on cloud-0: it is the recording agent"}],
         "on_main": True,
         "demand_seen": BEGAN,
         "started": BEGAN,
@@ -113,6 +114,7 @@ def recordings(*ended: int | None) -> dict[str, Any]:
             {
                 "recording": f"encounter-{number}",
                 "rule": "near",
+                "provenance": {"task": TASK, "event": EVENT},
                 "volume": "cloud-0/recordings",
                 "began": BEGAN + number,
                 "ended": end,

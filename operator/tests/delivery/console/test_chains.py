@@ -9,6 +9,7 @@ import pytest
 from robotkube.delivery.console.adapters.cluster_documents import pod_documents, release_documents
 from robotkube.delivery.console.core.chains import DONE, FAILED, GONE, WAITING, View, find_of, steps
 from robotkube.delivery.console.core.documents import event_documents, plan_documents, task_document
+from robotkube.delivery.console.core.recordings import recording_documents
 from robotkube.foundation.documents.core.times import second_text
 from tests.delivery.console import documents as given
 
@@ -116,3 +117,63 @@ def test_a_plan_on_its_way_waits_and_one_of_before_a_restart_does_not() -> None:
 )
 def test_of_what_is_not_known_there_is_no_chain(kind: str, wanted: str) -> None:
     assert not find_of(kind, wanted, view())
+
+
+def recorded(*ended: int | None) -> View:
+    page = given.recordings(*ended)
+    return replace(view(), recordings=recording_documents(page, "cloud-0", "cloud-0/recorder-0"))
+
+
+@pytest.mark.parametrize("wanted", ["cloud-0/encounter-0", "encounter-0"])
+def test_a_recording_leads_to_what_caused_it_and_to_no_other_recording(wanted: str) -> None:
+    all_of_it = recorded(given.BEGAN + 9 * given.SECOND, None)
+    chain = list(steps(find_of("recording", wanted, all_of_it), all_of_it))
+    expected = [*WHOLE, ("first message", "/vehicles/vehicle_00/pose"), ("recording", "cloud-0/encounter-0")]
+    assert sorted((step.step, step.id) for step in chain) == sorted(expected)
+    ended = chain[-1]
+    began = given.BEGAN // 1_000_000
+    assert (ended.kind, ended.time_ms, ended.end_ms) == ("recording", began, began + 9000)
+    assert ended.text == "ended: 97 messages, 1 gaps, on cloud-0/recordings"
+
+
+def test_an_event_leads_to_all_of_its_recordings_and_says_how_they_are() -> None:
+    all_of_it = recorded(given.BEGAN, None)
+    chain = list(steps(find_of("event", given.EVENT, all_of_it), all_of_it))
+    assert [step.text.partition(":")[0] for step in chain if step.step == "recording"] == ["ended", "at work"]
+    gone = replace(all_of_it, recordings={k: {**r, "at_work": False} for k, r in all_of_it.recordings.items()})
+    last = list(steps(find_of("event", given.EVENT, gone), gone))[-1]
+    assert (last.state, last.text.partition(":")[0]) == (GONE, "its end was not seen")
+
+
+def test_a_recording_of_nothing_that_is_known_is_alone_in_its_chain() -> None:
+    page = given.recordings(None)
+    page["recordings"][0] |= {"causes": [], "provenance": {}}
+    alone = View(recordings=recording_documents(page, "cloud-0", "cloud-0/recorder-0"))
+    chain = list(steps(find_of("recording", "cloud-0/encounter-0", alone), alone))
+    assert [step.step for step in chain] == ["first message", "recording"]
+    assert not find_of("recording", "encounter-9", alone)
+
+
+def test_the_first_message_is_none_of_before_the_recording_when_there_is_a_later_one() -> None:
+    page = given.recordings(None)
+    [pose, silent] = page["recordings"][0]["topics"]
+    page["recordings"][0]["topics"] = [pose, silent | {"window": [given.BEGAN + given.SECOND, given.BEGAN], "stored": 2}]
+    all_of_it = replace(view(), recordings=recording_documents(page, "cloud-0", "cloud-0/recorder-0"))
+    chain = steps(find_of("recording", "encounter-0", all_of_it), all_of_it)
+    first = next(step for step in chain if step.step == "first message")
+    assert (first.id, first.time_ms) == ("/cloud", given.BEGAN // 1_000_000 + 1000)
+
+
+def test_a_plan_says_what_was_decided_and_which_values_change() -> None:
+    all_of_it = view()
+    by_step = {step.step: step for step in steps(find_of("plan", given.PLAN, all_of_it), all_of_it)}
+    assert by_step["plan"].details == (
+        (f"decided for {given.TASK}", "recorder 0.2.3 on cloud-0: it is the recording agent"),
+        ("created", given.RECORDER),
+        ("changed", given.BRIDGE),
+        (f"{given.BRIDGE} version", '"1" → "2"'),
+    )
+    more = {"values": [{"release": given.BRIDGE, "path": "x", "before": None, "after": "1"}], "more": 7}
+    all_of_it = view(plans=given.plans(differences=more, choices=[]))
+    plan = next(step for step in steps(find_of("plan", given.PLAN, all_of_it), all_of_it) if step.step == "plan")
+    assert plan.details[-2:] == ((f"{given.BRIDGE} x", "(not there) → 1"), ("besides", "7 other values, in the commit"))

@@ -105,11 +105,12 @@ def test_every_path_of_the_contract_is_answered_and_no_other(console: Open) -> N
     assert answered == {*CONTRACT["paths"], "/healthz", "/{path:path}"}
 
 
-@pytest.mark.parametrize("kind", ["event", "task", "plan", "commit", "pod", "release"])
+@pytest.mark.parametrize("kind", ["event", "task", "plan", "commit", "pod", "release", "recording"])
 def test_why(console: Open, kind: str) -> None:
     wanted = {
         "event": given.EVENT, "task": given.TASK, "plan": given.PLAN, "commit": given.COMMIT,
         "pod": "cloud-0/recorder-0", "release": given.RECORDER,
+        "recording": "cloud-0/encounter-1",
     }[kind]  # fmt: skip
     chain = console.get(f"/api/why/{kind}/{wanted}").json()
     assert_of_the_contract(chain, "Chain")

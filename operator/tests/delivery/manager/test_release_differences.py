@@ -59,9 +59,11 @@ def test_of_many_and_long_values_a_part_is_told_and_how_many_more_there_are() ->
 def test_the_newest_plans_have_their_differences_and_what_they_wait_for() -> None:
     records = PlanRecords(0)
     for number in range(DIFFERENCES_MAX + 3):
-        records.add(PlanRecord(str(number), "", "task", (), (), differences=ReleaseDifferences()))
+        choices = (("cloud-0/meeting", "recorder on cloud-0: it records"),)
+        records.add(PlanRecord(str(number), "", "task", (), (), differences=ReleaseDifferences(), choices=choices))
     remembered = [record.id for record in records if record.differences is not None]
     assert remembered == [str(number) for number in range(3, DIFFERENCES_MAX + 3)]
+    assert [record.id for record in records if record.choices] == remembered
     record = PlanRecord("a", "", "task", (), (), waits=("WaitsForApproval", "pull request 4: anna has not approved"))
     assert record.as_json()["waits"] == "pull request 4: anna has not approved"
     record.on_main = True

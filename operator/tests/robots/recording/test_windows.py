@@ -252,6 +252,7 @@ def test_recordings_are_told_while_they_are_open_and_after_they_have_ended() -> 
     [opened] = bench.recordings.documents()
     assert (opened["recording"], opened["rule"], opened["volume"]) == ("encounter-eeeeeeee", "near", "n/c")
     assert (opened["ended"], opened["causes"][0]["event"], opened["causes"][0]["stopped"]) == (None, event.id, None)
+    assert opened["provenance"] == bench.recordings.plan.provenance
     bench.recordings.end(replace(event, stamp=bench.now), bench.now)
     bench.play(int((1 + LINGER_SECONDS) * 10) + 2)
 

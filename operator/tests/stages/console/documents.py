@@ -53,6 +53,8 @@ def recording(number: int, event: Document) -> Document:
         "recording": f"encounter-{event['id']}",
         "agent": "cloud-0",
         "rule": RULE,
+        "task": "",
+        "event": event["id"],
         "detector": "cloud-0/event-detector-0",
         "volume": "cloud-0/recordings",
         "at_work": ended is None,

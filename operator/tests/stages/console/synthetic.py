@@ -406,6 +406,7 @@ def plan_document(event: Document, state: str) -> Document:
         "error": error if state == "refused" else "",
         "waits": "pull request 12: the person who approves vehicles has not yet" if state == "open" else "",
         "differences": None if event["began_ms"] % 3 == 2 else differences(event["agents"]),
+        "choices": [{"task": "cloud-0/recording-3f2a9c", "choice": "recorder on cloud-0: it is the agent that records"}],
         "demand_seen_ms": began + 20,
         "started_ms": began + 27,
         "proposed_ms": began + 480,

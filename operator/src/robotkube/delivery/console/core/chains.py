@@ -17,12 +17,15 @@ from robotkube.delivery.tasks.core.task_states import REFUSED as TASK_REFUSED
 from robotkube.foundation.documents.core.times import second_text
 
 EVENT, TASK, PLAN, POD, RELEASE, COMMIT = "event", "task", "plan", "pod", "release", "commit"
-WHY_KINDS = (EVENT, TASK, PLAN, POD, RELEASE, COMMIT)
+RECORDING = "recording"
+WHY_KINDS = (EVENT, TASK, PLAN, POD, RELEASE, COMMIT, RECORDING)
 MESSAGE, PULL_REQUEST, APPLICATION, END = "message", "pull request", "Application", "end"
+FIRST_MESSAGE = "first message"
 DONE, WAITING, FAILED, GONE = "done", "waiting", "failed", "gone"
 COMMIT_CHARACTERS_MIN = 7
 MS_OF_S = 1000
 WITHDRAWAL = "withdrawal"
+SIDES = (("before", "not there"), ("after", "gone"))
 NO_TASK = "withdrawn, or another's of the same plan"
 
 Document = Mapping[str, Any]
@@ -38,6 +41,7 @@ class View:
     releases: Documents = field(default_factory=dict)
     pods: Documents = field(default_factory=dict)
     events: Documents = field(default_factory=dict)
+    recordings: Documents = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -63,15 +67,16 @@ class Step:
 
 @dataclass
 class Matches:
-    """Tasks (by key), plans (oldest first), releases and events that belong together."""
+    """Tasks (by key), plans (oldest first), releases, events and recordings (by key) that belong together."""
 
     tasks: dict[str, Document] = field(default_factory=dict)
     plans: list[Document] = field(default_factory=list)
     releases: list[str] = field(default_factory=list)
     events: dict[str, Document] = field(default_factory=dict)
+    recordings: dict[str, Document] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
-        return bool(self.tasks or self.plans or self.releases or self.events)
+        return bool(self.tasks or self.plans or self.releases or self.events or self.recordings)
 
 
 def find(wanted: str, view: View) -> Matches:
@@ -85,7 +90,25 @@ def find(wanted: str, view: View) -> Matches:
     events |= {key: view.events[key] for key in ids if key in view.events}
     releases = {key for task in named.values() for key in task["releases"]}
     releases |= {key for plan in plans for word in ("created", "changed") for key in plan[word]}
-    return Matches(named, sorted(plans, key=_began), sorted(releases), events)
+    matches = Matches(named, sorted(plans, key=_began), sorted(releases), events)
+    matches.recordings = _recordings_of(matches, view)
+    return matches
+
+
+def _recordings_of(matches: Matches, view: View) -> dict[str, Document]:
+    """The recordings that are for one of the tasks or events."""
+    tasks = {*matches.tasks, *(key for plan in matches.plans for key in plan["tasks"])}
+    events = {*matches.events, *(task["event"]["id"] for task in matches.tasks.values())}
+    events |= {one for plan in matches.plans for one in plan["events"]}
+    return {
+        key: recording
+        for key, recording in view.recordings.items()
+        if recording["task"] in tasks or events & _events_of(recording)
+    }
+
+
+def _events_of(recording: Document) -> set[str]:
+    return {recording["event"], *(window["event"] for window in recording["windows"])} - {""}
 
 
 def find_of(kind: str, wanted: str, view: View) -> Matches:
@@ -97,6 +120,8 @@ def find_of(kind: str, wanted: str, view: View) -> Matches:
     if kind in (POD, RELEASE):
         release = wanted if kind == RELEASE else str(view.pods.get(wanted, {}).get("release", ""))
         return _of_release(release, view)
+    if kind == RECORDING:
+        return _of_recording(wanted, view)
     return find(wanted, view)
 
 
@@ -106,6 +131,18 @@ def _of_release(release: str, view: View) -> Matches:
         return Matches()
     matches = find(document["plan"], view) if document is not None and document["plan"] else Matches()
     matches.releases = [release]
+    return matches
+
+
+def _of_recording(wanted: str, view: View) -> Matches:
+    """What belongs to a recording, by its key or its name alone, and to no other one of the same plan."""
+    key = next((key for key in view.recordings if wanted in (key, key.partition("/")[2])), "")
+    if not key:
+        return Matches()
+    recording = view.recordings[key]
+    causes = (recording["task"], recording["event"], *sorted(_events_of(recording)))
+    matches = next((found for cause in causes if cause and (found := find(cause, view))), Matches())
+    matches.recordings = {key: recording}
     return matches
 
 
@@ -130,6 +167,7 @@ def steps(matches: Matches, view: View) -> Iterator[Step]:
         yield from _plan(plan)
     since_ms = min((plan["started_ms"] for plan in asking if plan["started_ms"] is not None), default=None)
     yield from _running(matches.releases, view, since_ms)
+    yield from _recordings(matches)
     for key, event in matches.events.items():
         if event["ended_ms"] is not None:
             yield Step(END, key, "the event ended", event["rule"], DONE, EVENT, event["ended_ms"])
@@ -187,6 +225,7 @@ def _task_state(task: Document) -> str:
 def _plan(plan: Document) -> Iterator[Step]:
     lists = ("created", "changed", "removed")
     details = tuple((word, release) for word in lists for release in plan[word])
+    details = (*_choices(plan), *details, *_values(plan))
     merged = plan["state"] in (MERGED, OBSERVED)
     restored = merged and plan["started_ms"] is None  # read from main after a restart: nobody knows more of it
     state = DONE if restored else {OBSERVED: DONE, REFUSED: FAILED}.get(plan["state"], WAITING)
@@ -206,6 +245,24 @@ def _plan(plan: Document) -> Iterator[Step]:
         standing = DONE if merged else FAILED if plan["error"] else WAITING
         commit = plan["commit"]
         yield Step(COMMIT, commit, commit[:12], text, standing, COMMIT, plan["merged_ms"], plan["synced_ms"], link)
+
+
+def _choices(plan: Document) -> Iterator[tuple[str, str]]:
+    """What was decided, each with its reason: which versions, which Nodes, and which others not."""
+    for choice in plan["choices"]:
+        yield f"decided for {choice['task']}", choice["choice"]
+
+
+def _values(plan: Document) -> Iterator[tuple[str, str]]:
+    """Each value of a release that a plan changes, before and after."""
+    differences = plan["differences"]
+    if not differences:
+        return
+    for value in differences["values"]:
+        before, after = (value[side] if value[side] is not None else f"({word})" for side, word in SIDES)
+        yield f"{value['release']} {value['path']}", f"{before} → {after}"
+    if differences["more"]:
+        yield "besides", f"{differences['more']} other values, in the commit"
 
 
 def _counted(plan: Document, lists: Iterable[str]) -> str:
@@ -252,3 +309,33 @@ def _pod(key: str, pod: Document, since_ms: int | None) -> Step:
         since = ("started", second_text(started * NS_OF_MS))
         return Step(POD, key, key, f"{text}, ran before it", state, POD, details=(*details, since))
     return Step(POD, key, key, text, state, POD, started, pod["ready_ms"], "", details)
+
+
+def _recordings(matches: Matches) -> Iterator[Step]:
+    """Recordings, and when the first message of each was measured."""
+    for key, recording in matches.recordings.items():
+        first = _first_message(recording)
+        if first is not None:
+            topic, stamp_ms = first
+            yield Step(FIRST_MESSAGE, topic, topic, f"stored by {recording['recording']}", DONE, None, stamp_ms)
+        yield _recording(key, recording)
+
+
+def _first_message(recording: Document) -> tuple[str, int] | None:
+    """Topic and stamp of the first message since the recording began; of what it had from before then the last topic to
+    begin. Latched messages are older, and say nothing of when data flows."""
+    stamps = [(t["first_ms"], t["topic"]) for t in recording["topics"] if t["first_ms"] is not None and t["stored"]]
+    since = [one for one in stamps if one[0] >= (recording["began_ms"] or 0)]
+    chosen = min(since) if since else max(stamps, default=None)
+    return None if chosen is None else (chosen[1], chosen[0])
+
+
+def _recording(key: str, recording: Document) -> Step:
+    gone = not recording["at_work"] and recording["ended_ms"] is None
+    how = "at work" if recording["at_work"] else "its end was not seen" if gone else "ended"
+    missing = f", {recording['gap_count']} gaps" if recording["gap_count"] else ""
+    text = f"{how}: {recording['stored']} messages{missing}, on {recording['volume']}"
+    details = tuple((topic["topic"], f"{topic['stored']} stored") for topic in recording["topics"])
+    times = (recording["began_ms"], recording["ended_ms"])
+    state = GONE if gone else DONE
+    return Step(RECORDING, key, recording["recording"], text, state, RECORDING, *times, details=details)

@@ -76,6 +76,7 @@ def plan_document(plan: Object, manager: str) -> dict[str, Any]:
         "error": str(plan.get("error") or ""),
         "waits": str(plan.get("waits") or ""),
         "differences": plan.get("differences"),
+        "choices": list(plan.get("choices") or ()),
         **{f"{name}_ms": ns_ms(plan.get(name)) for name in PLAN_TIMES},
     }
 

@@ -28,10 +28,13 @@ def recording_documents(page: Object, namespace: str, detector: str) -> dict[str
 def _recording(recording: Object, namespace: str, detector: str) -> dict[str, Any]:
     topics = [_topic(audit) for audit in sorted(recording["topics"], key=lambda audit: str(audit["topic"]))]
     gaps = [gap for audit in recording["topics"] for gap in _gaps(audit)]
+    provenance: Object = recording.get("provenance") or {}  # a detector of an older version says nothing of it
     return {
         "recording": str(recording["recording"]),
         "agent": namespace,
         "rule": str(recording["rule"]),
+        "task": str(provenance.get("task") or ""),
+        "event": str(provenance.get("event") or ""),
         "detector": detector,
         "volume": str(recording["volume"]),
         "at_work": recording["ended"] is None,

@@ -80,7 +80,7 @@ class ReadModel:
     def view(self) -> View:
         """What chains are made of."""
         with self._lock:
-            names = (kinds.TASKS, kinds.PLANS, kinds.RELEASES, kinds.PODS, kinds.EVENTS)
+            names = (kinds.TASKS, kinds.PLANS, kinds.RELEASES, kinds.PODS, kinds.EVENTS, kinds.RECORDINGS)
             return View(*(self._table.documents(name) for name in names))
 
     def metrics(self) -> Sequence[Series]:

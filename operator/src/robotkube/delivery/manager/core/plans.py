@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
 
@@ -248,10 +248,7 @@ def describe(
     if plan.message.initial:
         lines.append("- the initial configuration (catalogue and policies/)")
     lines += ["", "## Decided", ""]
-    for key in [c.task for c in sorted(come)]:
-        outcome = desired.outcomes.get(key)
-        if isinstance(outcome, Met):
-            lines += [f"- `{key}`: {choice}" for choice in outcome.choices]
+    lines += [f"- `{key}`: {choice}" for key, choice in decided(plan, desired)]
     refused = {k: o for k, o in desired.outcomes.items() if isinstance(o, Refused)}
     lines += [f"- `{key}` is refused, {o.reason}: {_quoted(o.message)}" for key, o in sorted(refused.items())]
     lines += ["", "## Changes", ""]
@@ -260,6 +257,15 @@ def describe(
             f"- {change.kind} `{change.release.key}` ({change.release.chart} {change.release.version}){_delta(change)}"
         )
     return "\n".join([*lines, "", *_evidence_lines(plan.message, catalogue, suites)]) + "\n"
+
+
+def decided(plan: Plan, desired: Composition) -> Iterator[tuple[str, str]]:
+    """Every choice that was made for the tasks that come with a plan, as a sentence with its reason, by task."""
+    come, _ = answered_and_withdrawn(plan.changes)
+    for key in [cause.task for cause in sorted(come)]:
+        outcome = desired.outcomes.get(key)
+        if isinstance(outcome, Met):
+            yield from ((key, choice) for choice in outcome.choices)
 
 
 def _evidence_lines(message: CommitMessage, catalogue: Catalogue, suites: Sequence[str]) -> list[str]:

@@ -402,7 +402,7 @@ class ApplicationManager:
         if self._took_over(plan, seen or started, started) or plan is None:
             return
         named = self._repairing.named(plan)
-        self._propose(named, record_of(named, seen or started, started))
+        self._propose(named, record_of(named, self.planner.desired, seen or started, started))
 
     def _decide(self, started: int) -> Plan | None:
         begun = self._monotonic()
@@ -422,7 +422,7 @@ class ApplicationManager:
         if plan is None or same_proposal is None:
             return False
         pull, identifier = same_proposal
-        record = record_of(plan, seen, started)
+        record = record_of(plan, self.planner.desired, seen, started)
         record.id = identifier
         record.commit = pull.head
         self._decisions.name(record, pull)

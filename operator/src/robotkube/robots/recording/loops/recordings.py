@@ -122,6 +122,7 @@ class Recordings:
         return {
             "recording": recorder.recording,
             "rule": self.plan.rule,
+            "provenance": dict(self.plan.provenance),
             "volume": self._place.volume,
             "began": recorder.life,
             "ended": ended,

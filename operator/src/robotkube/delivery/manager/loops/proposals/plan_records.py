@@ -10,22 +10,26 @@ from typing import Any
 
 from robotkube.delivery.deployment.core.commit_messages import INITIAL, CommitMessage, read_message
 from robotkube.delivery.deployment.core.releases import RELEASES
-from robotkube.delivery.manager.core.plans import ADD, CHANGE, REMOVE, Plan, answered_and_withdrawn
+from robotkube.delivery.manager.core.composition.inputs import Composition
+from robotkube.delivery.manager.core.plans import ADD, CHANGE, REMOVE, Plan, answered_and_withdrawn, decided
 from robotkube.delivery.manager.core.release_differences import ReleaseDifferences, release_differences
 from robotkube.errors import DocumentError
 from robotkube.foundation.forge.ports.repositories import Commit
 
 RECORDS_MAX = 1000
 DIFFERENCES_MAX = 100
-"""Of so many plans the changed values are remembered: those of an older one are in its commit."""
+"""Of so many plans the changed values and the choices are remembered: those of an older one are in its commit and its
+pull request."""
+CHOICES_MAX = 40
+"""So many choices of a plan are told: its pull request has them all."""
 TIMES = ("demand_seen", "started", "proposed", "merged", "synced", "observed")
 
 
 @dataclass
 class PlanRecord:
     """The record of one plan. `times` are ns since 1970, by the names in TIMES; `created`, `changed`, `removed` are
-    release keys; `differences` the values that change (None: nobody remembers them, the commit has them); `waits` is
-    reason and message for the tasks of a proposal that waits longer than usual; `unreachable` are old pods on dead
+    release keys; `differences` the values that change (None: nobody remembers them, the commit has them); `choices` are task
+    and sentence of what was decided; `waits` is reason and message for the tasks of a proposal that waits longer than usual; `unreachable` are old pods on dead
     nodes: the plan is observed but for them."""
 
     id: str
@@ -40,6 +44,7 @@ class PlanRecord:
     changed: tuple[str, ...] = ()
     removed: tuple[str, ...] = ()
     differences: ReleaseDifferences | None = None
+    choices: tuple[tuple[str, str], ...] = ()
     pull_request: int | None = None
     url: str = ""
     error: str | None = None
@@ -64,6 +69,7 @@ class PlanRecord:
             "changed": list(self.changed),
             "removed": list(self.removed),
             "differences": self.differences.as_json() if self.differences else None,
+            "choices": [{"task": task, "choice": choice} for task, choice in self.choices],
             "error": self.error,
             "waits": self.waits[1] if self.waits and not self.on_main else None,
             "on_main": self.on_main,
@@ -87,7 +93,7 @@ class PlanRecords:
         while len(self._records) > RECORDS_MAX:
             self._records.popitem(last=False)
         for old in islice(reversed(self._records.values()), DIFFERENCES_MAX, DIFFERENCES_MAX + 1):
-            old.differences = None
+            old.differences, old.choices = None, ()
         return record
 
     def has_merged(self, plan: str) -> bool:
@@ -104,8 +110,8 @@ class PlanRecords:
         return {"started": self._started, "plans": [record.as_json() for record in self]}
 
 
-def record_of(plan: Plan, demand_seen: int, started: int) -> PlanRecord:
-    """The record of a new plan."""
+def record_of(plan: Plan, desired: Composition, demand_seen: int, started: int) -> PlanRecord:
+    """The record of a new plan towards what is `desired`."""
     keys = {kind: tuple(c.release.key for c in plan.changes if c.kind == kind) for kind in (ADD, CHANGE, REMOVE)}
     come, go = answered_and_withdrawn(plan.changes)
     return PlanRecord(
@@ -120,6 +126,7 @@ def record_of(plan: Plan, demand_seen: int, started: int) -> PlanRecord:
         changed=keys[CHANGE],
         removed=keys[REMOVE],
         differences=release_differences(plan.changes),
+        choices=tuple(islice(decided(plan, desired), CHOICES_MAX)),
         times={"demand_seen": demand_seen, "started": started},
     )
 
