@@ -134,6 +134,24 @@ def test_polling_brings_what_a_stream_does(console: Open) -> None:
     assert console.get("/api/changes").status_code == 400
 
 
+def test_a_recording_has_a_layout_as_a_file(console: Open) -> None:
+    answer = console.get("/api/recordings/cloud-0/encounter-1/layout")
+    assert answer.headers["content-disposition"] == 'attachment; filename="encounter-1.layout.json"'
+    assert list(answer.json()["configById"]["3D!space"]["topics"]) == ["/cloud", "/vehicles/vehicle_00/pose"]
+    refused = console.get("/api/recordings/cloud-0/encounter-9/layout")
+    assert (refused.status_code, refused.json()["title"]) == (404, "Not known")
+    assert "robotkube recording export" in refused.json()["detail"]
+
+
+def test_an_agent_writes_no_header_of_an_answer(console: Open) -> None:
+    recordings = given.recordings(None)
+    recordings["recordings"][0]["recording"] = 'a"\r\nSet-Cookie: b'
+    console.model.put_recordings(recording_documents(recordings, "cloud-0", "cloud-0/recorder-0"))
+    answer = console.get("/api/recordings/cloud-0/a%22%0D%0ASet-Cookie%3A%20b/layout")
+    assert answer.headers["content-disposition"] == 'attachment; filename="a___Set-Cookie__b.layout.json"'
+    assert "set-cookie" not in answer.headers
+
+
 async def next_event(events: AsyncIterator[str]) -> dict[str, Any]:
     """The next event that is no heartbeat."""
     async for text in events:

@@ -137,6 +137,8 @@ def test_one_mcap_file_of_a_selection(messages: Sequence[Message], tmp_path: Pat
         "/vehicles/vehicle_01/lidar_center/transform",
     }
     assert {encoding for *_, encoding in written} == {"ros2msg"}
+    layout = json.loads((tmp_path / "out" / f"{NAME}.layout.json").read_text())
+    assert set(layout["configById"]["3D!space"]["topics"]) == {topic for topic, _, _ in written}
     assert not (tmp_path / "out" / "metadata.yaml").exists()
 
 

@@ -21,6 +21,7 @@ from robotkube.robots.bags.adapters.reading import open_bag
 from robotkube.robots.bags.adapters.writing import BagWriter
 from robotkube.robots.export.adapters.kitti_dataset import KittiDataset
 from robotkube.robots.export.adapters.staging_file import TemporaryStagingFile
+from robotkube.robots.export.core.foxglove_layout import SUFFIX, recording_layout
 from robotkube.robots.export.core.labels import DISTANCE_DEFAULT, GAP_SECONDS_DEFAULT, SIZE_DEFAULT, LabellingSettings
 from robotkube.robots.export.loops.bag_export import (
     STAMP_MAX,
@@ -52,7 +53,8 @@ def exporting(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of `recording export`."""
     cli_recordings.naming(parser)
     parser.add_argument("folder", type=Path, help="new folder that is made")
-    parser.add_argument("--format", choices=(MCAP, ROSBAG2), default=ROSBAG2, help="one MCAP file, or a rosbag2 folder")
+    forms = "one MCAP file with a layout for Foxglove or Lichtblick, or a rosbag2 folder"
+    parser.add_argument("--format", choices=(MCAP, ROSBAG2), default=ROSBAG2, help=forms)
     parser.add_argument(
         "--topics", nargs="+", default=[], metavar="TOPIC", help="only these; {agent} stands for every agent"
     )
@@ -148,6 +150,10 @@ def exported(
                 counts = _write(prepared, segments, staging, partial, recording, wanted)
             gaps = gaps_of(reader, str(recording["_id"]), wanted.selection)
             _write_gaps(partial, gaps)
+            if wanted.form == MCAP:
+                layout = recording_layout(topic.name for topic in prepared.topics)
+                name = f"{recording['_id']}{SUFFIX}"
+                (partial / name).write_text(json.dumps(layout, indent=2) + "\n", encoding="utf-8")
             if labels is not None:
                 write_dataset(partial, partial / DATASET, str(recording["_id"]), labels, wanted.poses, _say)
             partial.rename(folder)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections import Counter
 from collections.abc import Collection, Mapping
@@ -29,9 +30,11 @@ from robotkube.delivery.console.core import table as kinds
 from robotkube.delivery.console.core.table import resume_id, resumed_version
 from robotkube.delivery.console.ports import ModelReading
 from robotkube.foundation.runtime.ports import Series, by_one
+from robotkube.robots.export.core.foxglove_layout import SUFFIX, recording_layout
 
 COMPRESSED_BYTES_MIN = 1024
 ID_CHARACTERS_MAX = 600
+FILE_NAME = re.compile(r"[^A-Za-z0-9._-]")  # what an agent calls its recordings is not believed to be a name of a file
 JSON = "application/json"
 FRESH = {"Cache-Control": "no-store"}
 PREFIX = "robotkube_console_"
@@ -76,6 +79,7 @@ class Console:
             Route("/api/changes", self._changes),
             Route("/api/events", self._events),
             Route("/api/why/{kind}/{id:path}", self._why),
+            Route("/api/recordings/{agent}/{recording}/layout", self._layout),
             *(Route(path, self._list(kind)) for path, kind in lists.items()),
             *self._requests.routes(),
             Route("/auth/login", self._people.login),
@@ -132,6 +136,18 @@ class Console:
         title = next((step["text"] for step in steps if step["step"] == chains.EVENT), wanted)
         document: dict[str, Any] = {"kind": kind, "id": wanted, "title": title, "time_ms": self._model.now_ms()}
         return JSONResponse({**document, "steps": steps}, headers=FRESH)
+
+    async def _layout(self, request: Request) -> Response:
+        self._people.check_reading(request)
+        key = f"{request.path_params['agent']}/{request.path_params['recording']}"
+        recording = self._model.documents(kinds.RECORDINGS).get(key)
+        if recording is None:
+            detail = f"No recorder told of {key[:200]} since this console began; `robotkube recording export` writes one."
+            raise ProblemError(404, "Not known", detail)
+        layout = recording_layout(topic["topic"] for topic in recording["topics"])
+        name = FILE_NAME.sub("_", recording["recording"])[:200]
+        headers = {**FRESH, "Content-Disposition": f'attachment; filename="{name}{SUFFIX}"'}
+        return JSONResponse(layout, headers=headers)
 
     def _list(self, kind: str) -> Any:
         async def listed(request: Request) -> Response:
