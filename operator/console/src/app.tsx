@@ -37,9 +37,11 @@ export function App() {
   const [session, set] = useState<Session>();
   const [place = "fleet"] = usePlace();
   const connection = useConnection();
+  const answers = connection.mode === "live" || connection.mode === "polling";
   useEffect(() => {
-    readSession().then(set, () => set(undefined));
-  }, []);
+    // Who asked while the process was away asks again when it answers.
+    if (!session) readSession().then(set, () => undefined);
+  }, [answers]);
   useShortcuts();
   const [title, View] = VIEWS[place] ?? BESIDE[place] ?? ["Fleet", Fleet];
   useEffect(() => {

@@ -1,4 +1,5 @@
 /** Forms out of JSON schemas: the fields of an application's parameters, and the parameters that were typed into them. */
+import { command } from "./parts/terminal";
 
 export interface Field {
   readonly name: string;
@@ -90,10 +91,11 @@ function parsed(typed: string, otherwise: unknown): unknown {
 /** The command that asks for the same on a terminal. */
 export function commandOf(namespace: string, application: string, parameters: Record<string, unknown>): string {
   const options = Object.entries(parameters).map(
-    ([name, value]) => `--parameter ${quoted(`${name}=${inYaml(value)}`)}`,
+    ([name, value]) => `--parameter ${inQuotes(`${name}=${inYaml(value)}`)}`,
   );
-  return ["robotkube task submit", `--namespace ${namespace}`, `--application ${application}`, ...options].join(" ");
+  const names = command("robotkube", "task", "submit", "--namespace", namespace, "--application", application);
+  return [names, ...options].join(" ");
 }
 
 const inYaml = (value: unknown): string => JSON.stringify(value);
-const quoted = (word: string): string => `'${word.replaceAll("'", "'\\''")}'`;
+const inQuotes = (word: string): string => `'${word.replaceAll("'", "'\\''")}'`;

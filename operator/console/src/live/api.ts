@@ -17,7 +17,10 @@ const AWAY = "The console's process does not answer. Look at the pod of componen
 
 /** A document of the process. Addresses are relative to the page, which may stand at any path. */
 export async function read<T>(path: string, signal?: AbortSignal): Promise<T> {
-  const answer = await asked(path, { signal: either(signal, AbortSignal.timeout(ANSWER_MS_MAX)) });
+  return documentIn<T>(await asked(path, { signal: either(signal, AbortSignal.timeout(ANSWER_MS_MAX)) }));
+}
+
+async function documentIn<T>(answer: Response): Promise<T> {
   return (await answer.json().catch(() => {
     throw new Refused(0, "No answer", AWAY, undefined);
   })) as T;
@@ -52,13 +55,17 @@ export const submitTask = (request: TaskRequest, csrf: string): Promise<{ task: 
 /** Take a task back. */
 export async function withdrawTask(key: string, csrf: string): Promise<void> {
   const path = `api/tasks/${key.split("/").map(encodeURIComponent).join("/")}`;
-  await asked(path, { method: "DELETE", headers: { "X-CSRF-Token": csrf } });
+  await asked(path, {
+    method: "DELETE",
+    headers: { "X-CSRF-Token": csrf },
+    signal: AbortSignal.timeout(ANSWER_MS_MAX),
+  });
 }
 
 async function write<T>(method: string, path: string, csrf: string, document: unknown): Promise<T> {
   const headers = { "Content-Type": "application/json", "X-CSRF-Token": csrf };
-  const answer = await asked(path, { method, headers, body: JSON.stringify(document) });
-  return (await answer.json()) as T;
+  const signal = AbortSignal.timeout(ANSWER_MS_MAX);
+  return documentIn<T>(await asked(path, { method, headers, body: JSON.stringify(document), signal }));
 }
 
 /** End the session. */

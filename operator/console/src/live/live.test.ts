@@ -14,13 +14,26 @@ const snapshot = (version: number): Response =>
 const signIn = (): Response =>
   json({ status: 401, title: "Not signed in", detail: "Sign in.", sign_in: "/auth/login" }, 401);
 
+/** A stream that comes in these pieces, one after the other. */
+const pieces = (...texts: string[]): Response => {
+  const bytes = new ReadableStream<Uint8Array>({
+    pull: (controller) => {
+      const text = texts.shift();
+      if (text === undefined) controller.close();
+      else controller.enqueue(new TextEncoder().encode(text));
+    },
+  });
+  return new Response(bytes);
+};
+
 /** Follows a process that gives these answers, one after the other, and says what it was asked for. */
 async function followed(...answers: Response[]): Promise<[Live, string[]]> {
   const asked: string[] = [];
-  vi.stubGlobal("fetch", (path: string) => {
+  const fetch = vi.fn((path: string) => {
     asked.push(path);
     return Promise.resolve(answers.shift() as Response);
   });
+  vi.stubGlobal("fetch", fetch);
   const live = new Live();
   await live.run();
   return [live, asked];
@@ -43,6 +56,30 @@ describe("following the process", () => {
     const [live, asked] = await followed(snapshot(4), stream, snapshot(1), signIn());
     expect(asked.slice(1)).toEqual(["api/events?after=e.4", "api/snapshot", "api/events?after=e.1"]);
     expect(live.table.maps.poses.size).toBe(0);
+  });
+
+  it("says so when it cannot read a snapshot, and asks again", async () => {
+    vi.useFakeTimers();
+    const broken = json({ id: "e.4", version: 4, time_ms: 1000, items: { poses: null, tasks: 5 }, links: null });
+    const following = followed(json(null as unknown as object), broken, signIn());
+    await vi.advanceTimersByTimeAsync(10_000);
+    const [live, asked] = await following;
+    vi.useRealTimers();
+    expect(asked.slice(0, 2)).toEqual(["api/snapshot", "api/snapshot"]);
+    expect(live.connection.mode).toBe("signed-out");
+  });
+
+  it("does not open a stream again at once whose change it cannot read", async () => {
+    vi.useFakeTimers();
+    const beat = frame("heartbeat", { version: 4, time_ms: 1 });
+    const broken = pieces(beat, frame("change", { id: "e.5" }));
+    const following = followed(snapshot(4), broken, signIn());
+    await vi.advanceTimersByTimeAsync(900);
+    const asked = vi.mocked(fetch).mock.calls.length;
+    await vi.advanceTimersByTimeAsync(1000);
+    await following;
+    vi.useRealTimers();
+    expect(asked).toBe(2);
   });
 
   it("tells who listens, and says of when it is", async () => {

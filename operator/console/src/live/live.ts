@@ -52,9 +52,9 @@ export class Live {
       if (kind === "changes") return await this.changes();
       return this.happened(await this.stream());
     } catch (error) {
-      if (!(error instanceof Refused)) throw error;
-      this.signIn = error.signIn;
-      return this.happened({ kind: "failed", status: error.status, problem: error.message });
+      const refused = error instanceof Refused ? error : new Refused(0, "Not readable", unreadable(error), undefined);
+      this.signIn = refused.signIn;
+      return this.happened({ kind: "failed", status: refused.status, problem: refused.message });
     }
   }
 
@@ -85,7 +85,7 @@ export class Live {
         if (!frames.length) continue;
         clearTimeout(patience);
         patience = setTimeout(() => cut.abort(), MUTE_SECONDS_MAX * 1000);
-        if (!frames.every((frame) => this.frame(frame))) return { kind: "resync" };
+        if (!frames.every((frame) => this.taken(frame))) return { kind: "resync" };
         this.happened({ kind: "event" });
       }
     } catch (error) {
@@ -95,6 +95,15 @@ export class Live {
     } finally {
       clearTimeout(patience);
       cut.abort();
+    }
+  }
+
+  /** As `frame`; what cannot be taken is no stream that ended, which would be opened again at once. */
+  private taken(frame: Frame): boolean {
+    try {
+      return this.frame(frame);
+    } catch (error) {
+      throw new Refused(0, "Not readable", unreadable(error), undefined);
     }
   }
 
@@ -125,6 +134,11 @@ export class Live {
     return next;
   }
 }
+
+/** The page is never shown as live when what it was told is of no use to it. */
+const unreadable = (error: unknown): string =>
+  `The page cannot read what the console says (${error instanceof Error ? error.message : String(error)}). ` +
+  "Load the page anew: it may be of another version.";
 
 function pause(seconds: number): Promise<void> {
   return seconds ? new Promise((resolve) => setTimeout(resolve, seconds * 1000)) : Promise.resolve();

@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { Link } from "../live/model";
-import { linkRate, linksInWords, linkWords } from "./links";
+import { argocdPage, linkRate, linksInWords, linkWords } from "./links";
 
 const LINK: Link = {
   release: "vehicle-00/mqtt-bridge",
@@ -32,5 +32,14 @@ describe("links", () => {
     expect(linksInWords([])).toBe("");
     const links: Link[] = [LINK, { ...LINK, rate_hz: 0 }, { ...LINK, rate_hz: null }, { ...LINK, direction: "" }];
     expect(linksInWords(links)).toBe("3 links, 10 messages/s, 1 silent, 1 not known, 1 not carried");
+  });
+});
+
+describe("Argo CD's page of an Application", () => {
+  it("is below the address of its pages, where there is one", () => {
+    expect(argocdPage("https://argocd.example.com/", "cloud-0-recorder")).toBe(
+      "https://argocd.example.com/applications/cloud-0-recorder",
+    );
+    expect(argocdPage("", "cloud-0-recorder")).toBe("");
   });
 });

@@ -41,3 +41,7 @@ export function linksInWords(links: readonly Link[]): string {
   if (carried.length < links.length) words.push(`${links.length - carried.length} not carried`);
   return words.join(", ");
 }
+
+/** Argo CD's page of an Application, by the address of its pages; empty where nobody gave one. */
+export const argocdPage = (pages: string, application: string): string =>
+  pages && `${pages.replace(/\/+$/, "")}/applications/${encodeURIComponent(application)}`;

@@ -18,6 +18,16 @@ export function Words({ text }: { text: string }) {
   return <>{parts.map((part, index) => (index % 2 ? <code key={index}>{part}</code> : part))}</>;
 }
 
+/** A link to another page, in another tab. What is no address of the web is no link: processes say it. */
+export function Out({ href, children }: { href: string; children: ComponentChildren }) {
+  if (!/^https?:\/\//i.test(href)) return <>{children}</>;
+  return (
+    <a class="out" href={href} target="_blank" rel="noopener noreferrer">
+      {children} ↗
+    </a>
+  );
+}
+
 /** A time of day that says its date when it is read out or pointed at. */
 export function Time({ ms, now }: { ms: number | null | undefined; now: number }) {
   if (ms === null || ms === undefined) return <span class="quiet">not known</span>;

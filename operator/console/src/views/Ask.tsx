@@ -2,6 +2,7 @@ import { useState } from "preact/hooks";
 import { commandOf, fieldsOf, parametersOf, type Field } from "../form";
 import { explain, Refused, submitTask } from "../live/api";
 import type { CatalogueEntry, Explanation, TaskRequest } from "../live/model";
+import { Command } from "../parts/Command";
 import { Explained } from "../parts/Explained";
 import { Empty, Stale, Words } from "../parts/parts";
 import { at, go, useItems, useNow, usePlace, useSession, why } from "../state";
@@ -148,7 +149,7 @@ export function NotHere({ why: reason, command }: { why: string; command: string
         <strong>You cannot submit here.</strong> <Words text={reason} />
       </p>
       <p>
-        On a terminal: <code>{command}</code>
+        On a terminal: <Command text={command} />
       </p>
     </div>
   );

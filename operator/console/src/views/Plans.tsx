@@ -1,6 +1,6 @@
 import { useState } from "preact/hooks";
 import type { Plan } from "../live/model";
-import { Badge, Cell, Choice, Empty, Rows, Search, Stale, Time } from "../parts/parts";
+import { Badge, Cell, Choice, Empty, Out, Rows, Search, Stale, Time } from "../parts/parts";
 import { PLAN_TONES, PLAN_WORDS, planSeconds, planWords } from "../parts/states";
 import { filter } from "../search";
 import { useItems, useNow, why } from "../state";
@@ -90,9 +90,7 @@ function Line({ plan, now }: { plan: Plan; now: number }) {
       <Cell head="Takes">{seconds === undefined ? <span class="quiet">–</span> : duration(seconds)}</Cell>
       <Cell head="Pull request">
         {plan.url ? (
-          <a class="out" href={plan.url} target="_blank" rel="noopener noreferrer">
-            {plan.pull_request} ↗
-          </a>
+          <Out href={plan.url}>{plan.pull_request}</Out>
         ) : (
           (plan.pull_request ?? <span class="quiet">none yet</span>)
         )}

@@ -1,5 +1,7 @@
 import { useEffect, useState } from "preact/hooks";
 import type { Recording } from "../live/model";
+import { Command } from "../parts/Command";
+import { command, exportCommand } from "../parts/terminal";
 import { Badge, Cell, Choice, Empty, Rows, Search, Stale, Time, type Tone } from "../parts/parts";
 import { filter } from "../search";
 import { useItems, useNow, usePlace, why } from "../state";
@@ -25,7 +27,8 @@ export function Recordings() {
       <h1>Recordings</h1>
       <p class="quiet">
         As their recorders say since this console began. What databases and volumes hold:{" "}
-        <code>robotkube recording list</code>.
+        <code>robotkube recording list</code>. Point clouds lie on the volumes of the agents that record, which no page
+        reaches: a command writes the file.
       </p>
       <Stale kinds={["recordings"]} now={now} />
       <div class="filters">
@@ -37,7 +40,7 @@ export function Recordings() {
           label="Recordings"
           heads={["Recording", "State", "Windows", "Messages", "Missing", "Volume", "Get it"]}
           items={shown}
-          row={([key, recording]) => <Line key={key} recording={recording} now={now} />}
+          row={([key, recording]) => <Line key={key} name={key} recording={recording} now={now} />}
         />
       ) : (
         <Empty title={recordings.length ? "No recording matches." : "No recorder is at work."}>
@@ -84,12 +87,15 @@ function state(recording: Recording): [Tone, string] {
   return recording.ended_ms === null ? ["quiet", "recorder is gone"] : ["good", "ended"];
 }
 
-function Line({ recording, now }: { recording: Recording; now: number }) {
+/** Where the process has the layout of the recording of a key. */
+const layoutOf = (key: string): string => `api/recordings/${key.split("/").map(encodeURIComponent).join("/")}/layout`;
+
+function Line({ name, recording, now }: { name: string; recording: Recording; now: number }) {
   const [tone, word] = state(recording);
   return (
     <tr>
       <Cell head="Recording">
-        <span class="name">{recording.recording}</span>
+        <a href={why("recording", name)}>{recording.recording}</a>
         <div class="quiet">
           <a href={why("pod", recording.detector)}>{recording.detector}</a>
         </div>
@@ -125,8 +131,13 @@ function Line({ recording, now }: { recording: Recording; now: number }) {
         <code>{recording.volume}</code>
       </Cell>
       <Cell head="Get it" wide>
-        <code>robotkube recording export {recording.recording} FOLDER --format mcap</code>
-        <div class="quiet">one MCAP file, for Foxglove and Lichtblick</div>
+        <a href={layoutOf(name)} download>
+          Layout<span class="hidden"> of {recording.recording}</span> for Foxglove or Lichtblick
+        </a>
+        <div>
+          <Command text={exportCommand(recording.recording)} />
+        </div>
+        <div class="quiet">writes the MCAP file, where {recording.volume} is in reach</div>
       </Cell>
     </tr>
   );
@@ -183,7 +194,8 @@ function Missing({ recording, now }: { recording: Recording; now: number }) {
         </ul>
         {gaps > GAPS_MAX && (
           <p class="quiet">
-            and {count(gaps - GAPS_MAX, "other")}: <code>robotkube recording verify {recording.recording}</code>
+            and {count(gaps - GAPS_MAX, "other")}:{" "}
+            <code>{command("robotkube", "recording", "verify", recording.recording)}</code>
           </p>
         )}
       </details>

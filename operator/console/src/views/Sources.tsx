@@ -1,4 +1,4 @@
-import { Badge, Cell, Empty, Rows, Time } from "../parts/parts";
+import { Badge, Cell, Empty, Out, Rows, Time } from "../parts/parts";
 import { live, useConnection, useItems, useNow } from "../state";
 import { MODE_WORDS } from "../parts/Status";
 
@@ -15,16 +15,7 @@ export function Sources() {
         This page: {MODE_WORDS[connection.mode]}. <span class="quiet">{connection.problem}</span>
       </p>
       <p>
-        {forge && (
-          <a class="out" href={forge} target="_blank" rel="noopener noreferrer">
-            Forge ↗
-          </a>
-        )}{" "}
-        {argocd && (
-          <a class="out" href={argocd} target="_blank" rel="noopener noreferrer">
-            Argo CD ↗
-          </a>
-        )}
+        {forge && <Out href={forge}>Forge</Out>} {argocd && <Out href={argocd}>Argo CD</Out>}
       </p>
       {sources.length ? (
         <Rows

@@ -1,6 +1,6 @@
 import { useState } from "preact/hooks";
 import type { Task } from "../live/model";
-import { Badge, Cell, Choice, Empty, Rows, Search, Stale, Time, Words } from "../parts/parts";
+import { Badge, Cell, Choice, Empty, Out, Rows, Search, Stale, Time, Words } from "../parts/parts";
 import { TASK_TONES, taskGroup, taskWords, type TaskGroup } from "../parts/states";
 import { filter } from "../search";
 import { at, useItems, useNow, usePlace, useSession, why } from "../state";
@@ -127,9 +127,7 @@ function Line({ name, task, now }: { name: string; task: Task; now: number }) {
         {task.plan ? <a href={why("plan", task.plan)}>{task.plan}</a> : <span class="quiet">none yet</span>}
         {task.pull_request?.url && (
           <div>
-            <a class="out" href={task.pull_request.url} target="_blank" rel="noopener noreferrer">
-              pull request {task.pull_request.number} ↗
-            </a>
+            <Out href={task.pull_request.url}>pull request {task.pull_request.number}</Out>
           </div>
         )}
       </Cell>

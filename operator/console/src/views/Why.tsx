@@ -1,12 +1,14 @@
 import { useEffect, useState } from "preact/hooks";
 import { readChain, Refused } from "../live/api";
 import type { Chain, Kind, Step, WhyKind } from "../live/model";
-import { Badge, Empty, Stale, type Tone } from "../parts/parts";
-import { live, useNow, usePlace, useSignature, why } from "../state";
+import { Badge, Empty, Out, Stale, type Tone } from "../parts/parts";
+import { live, useNow, usePlace, why } from "../state";
+import { whenChanged } from "../live/changing";
 import { clock, duration } from "../words";
+import { argocdPage } from "../parts/links";
 import { scaleOf, type Scale } from "./scale";
 
-const KINDS_OF_CHAINS: readonly Kind[] = ["tasks", "plans", "releases", "pods", "events"];
+const KINDS_OF_CHAINS: readonly Kind[] = ["tasks", "plans", "releases", "pods", "events", "recordings"];
 const PAUSE_MS = 1500;
 
 /** The chain of cause and effect that one thing belongs to, on one time line. */
@@ -19,7 +21,7 @@ export function Why() {
     return (
       <main id="main">
         <h1>Why</h1>
-        <Empty title="Choose an event, task, plan, release, pod or commit in another view.">
+        <Empty title="Choose an event, task, plan, release, pod, commit or recording in another view.">
           <p>Each of them leads here, to what it came of and what it led to.</p>
         </Empty>
       </main>
@@ -61,30 +63,32 @@ interface Answer {
   readonly refused?: Refused;
 }
 
-/** The chain, read again when something of its kinds changed, at most every 1.5 s. */
+/** The chain, read again when something of its kinds changed or nobody answered, at most every 1.5 s. */
 function useChain(kind: WhyKind | undefined, id: string): Answer {
   const [answer, set] = useState<Answer & { key?: string }>({});
   const key = `${kind}/${id}`;
-  const signature = (): string => KINDS_OF_CHAINS.map((each) => live.table.changed.get(each)).join();
-  useSignature(signature);
-  const version = signature();
   useEffect(() => {
     if (!kind || !id) return undefined;
     const cut = new AbortController();
-    const ask = async (): Promise<void> => {
+    const ask = async (): Promise<boolean> => {
       try {
-        set({ key, chain: await readChain(kind, id, cut.signal) });
+        const chain = await readChain(kind, id, cut.signal);
+        if (!cut.signal.aborted) set({ key, chain });
+        return true;
       } catch (error) {
-        if (!(error instanceof Refused)) throw error;
-        if (!cut.signal.aborted) set((before) => ({ key, refused: error, ...keptChain(before, key) }));
+        const refused = error instanceof Refused ? error : new Refused(0, "No answer", String(error), undefined);
+        if (!cut.signal.aborted) set((before) => ({ key, refused, ...keptChain(before, key) }));
+        return refused.status === 404;
       }
     };
-    const timer = setTimeout(ask, answer.key === key ? PAUSE_MS : 0);
-    return () => {
-      clearTimeout(timer);
-      cut.abort();
-    };
-  }, [key, version]);
+    void whenChanged(
+      () => KINDS_OF_CHAINS.map((each) => live.table.changed.get(each)).join(),
+      ask,
+      PAUSE_MS,
+      cut.signal,
+    );
+    return () => cut.abort();
+  }, [key]);
   return answer.key === key ? answer : {};
 }
 
@@ -159,6 +163,7 @@ interface LineProperties {
 
 function StepLine({ step, first, own, scale, until, now }: LineProperties) {
   const title = step.title || step.id;
+  const link = step.link || (step.step === "Application" ? argocdPage(live.table.links.argocd, title) : "");
   return (
     <li class={own ? "own" : ""} aria-current={own ? "step" : undefined}>
       <div class="when">
@@ -180,10 +185,10 @@ function StepLine({ step, first, own, scale, until, now }: LineProperties) {
             <span class="name">{title}</span>
           )}{" "}
           {step.state !== "done" && <Badge tone={TONES[step.state]}>{step.state}</Badge>}
-          {step.link && (
-            <a class="out" href={step.link} target="_blank" rel="noopener noreferrer">
-              open<span class="hidden"> {title} in another tab</span> ↗
-            </a>
+          {link && (
+            <Out href={link}>
+              open<span class="hidden"> {title} in another tab</span>
+            </Out>
           )}
         </div>
         <div class={step.state === "failed" ? "bad" : "quiet"}>

@@ -1,6 +1,7 @@
 import { useEffect, useState } from "preact/hooks";
 import { explain, Refused, withdrawTask } from "../live/api";
 import type { Explanation } from "../live/model";
+import { command } from "../parts/terminal";
 import { Explained } from "../parts/Explained";
 import { Words } from "../parts/parts";
 import { at, go, useItems, useSession, why } from "../state";
@@ -57,7 +58,7 @@ export function Withdraw({ task }: { task: string }) {
       {session && !may && (
         <NotHere
           why={session.why_not || `Your groups may ask for tasks in ${session.namespaces.join(", ")} alone.`}
-          command={`robotkube task withdraw ${task}`}
+          command={command("robotkube", "task", "withdraw", task)}
         />
       )}
     </main>
