@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any
 
 import pytest
 
-from ci import web
+from ci import console, web
 from ci.images.catalogue import BY_NAME, Sources, go_module
 from ci.images.contexts import assemble
 from robotkube.testing.clusters import MemoryTasks
 from tests.stages import http_calls
-from tests.stages.browser import Page, browsing
 from tests.stages.delivery.running_manager import RunningManager, start_manager
 from tests.stages.forge.fixtures import installed
 from tests.stages.forge.gitea import ForgeProcess
@@ -59,41 +59,31 @@ def manager(installation: Installation, tmp_path_factory: pytest.TempPathFactory
     controller.stop()
 
 
-@pytest.fixture
-def page(installation: Installation, tmp_path: Path) -> Iterator[Page]:
-    with browsing(tmp_path) as page:
-        page.open(f"{installation.url}/user/login")
-        page.submit("form.form", {"user_name": VIEWER, "password": installation.passwords[VIEWER]})
-        yield page
-
-
-def test_reasons_and_evidence_of_a_plan_are_seen(
-    installation: Installation, manager: RunningManager, page: Page
-) -> None:
+@pytest.fixture(scope="module")
+def seen(installation: Installation, manager: RunningManager) -> Mapping[str, Any]:
+    """What a browser has read of the plan's pull request, and of the list of them, as the viewer."""
     number = manager.tasks.objects[KEY]["status"]["pullRequest"]["number"]
     until(lambda: installation.pull_request(number)["merged"], "marked merged by the forge")
-    page.open(f"{installation.url}/robotkube/deployment/pulls/{number}")
-    page.photograph(PICTURES / "pull-request.png")
-    assert "deploy(recording): vehicle-00, vehicle-01 within 400 m" in page.text
-    headings = page.evaluate("[...document.querySelectorAll('.render-content h2')].map(one => one.innerText.trim())")
-    assert headings == ["Asked", "Decided", "Changes", "Evidence"]
-    assert "cloud-0/meeting asks for pose-point-cloud-recording (rule lidar-proximity, event 3f2a9c)" in page.text
-    evidence = page.evaluate("[...document.querySelectorAll('.render-content li')].map(one => one.innerText)")
-    assert any("event-detector 0.2.3: passed" in line and "summary sha256:" in line for line in evidence)
-    assert "gate manually merged commit" in page.text
-    page.open(f"{installation.url}/robotkube/deployment/pulls/{number}/files")
-    page.photograph(PICTURES / "pull-request-files.png")
-    assert "releases/cloud-0/recorder-vehicle-00-vehicle-01.yaml" in page.text
-    assert page.failures == []
+    account = (VIEWER, installation.passwords[VIEWER])
+    said: Mapping[str, Any] = json.loads(console.browse("plan", installation.url, *account, str(number), str(PICTURES)))
+    return said
 
 
-def test_the_pages_have_what_they_load(installation: Installation, page: Page) -> None:
+def test_reasons_and_evidence_of_a_plan_are_seen(seen: Mapping[str, Any]) -> None:
+    request = seen["request"]
+    assert "deploy(recording): vehicle-00, vehicle-01 within 400 m" in request["words"]
+    assert request["headings"] == ["Asked", "Decided", "Changes", "Evidence"]
+    asked = "cloud-0/meeting asks for pose-point-cloud-recording (rule lidar-proximity, event 3f2a9c)"
+    assert asked in request["words"]
+    assert any("event-detector 0.2.3: passed" in line and "summary sha256:" in line for line in request["lines"])
+    assert "gate manually merged commit" in request["words"]
+    assert "releases/cloud-0/recorder-vehicle-00-vehicle-01.yaml" in seen["files"]
+    assert seen["failures"] == []
+
+
+def test_the_pages_have_what_they_load(installation: Installation, seen: Mapping[str, Any]) -> None:
     """And it is by that that the command line knows whether they were built."""
     assert http_calls.get(f"{installation.url}/assets/licenses.txt").status_code == 200
-    page.open(f"{installation.url}/robotkube/deployment/pulls")
-    page.photograph(PICTURES / "pull-requests.png")
-    sheets = page.evaluate("[...document.styleSheets].map(one => one.cssRules.length)")
-    assert min(sheets) > 0
-    assert sum(sheets) > 1000
-    assert page.evaluate("document.querySelectorAll('svg').length") > 0
-    assert page.failures == []
+    assert min(seen["rules"]) > 0
+    assert sum(seen["rules"]) > 1000
+    assert seen["drawings"] > 0
