@@ -1,20 +1,26 @@
 import { useState } from "preact/hooks";
-import type { Agent } from "../live/model";
+import type { Agent, Release } from "../live/model";
 import { silentSince } from "../map/fleet";
 import { Badge, Cell, Empty, Rows, Search, Stale, Time } from "../parts/parts";
+import { versionsByDigest } from "../parts/evidence";
 import { sharedWords } from "../parts/sharing";
 import { Trial } from "../parts/Trial";
 import { filter } from "../search";
-import { at, live, useItems, useNow } from "../state";
+import { at, live, useItems, useNow, why } from "../state";
 import { clock, count } from "../words";
 import { Hold } from "./Fleet";
 
 /** Every declared agent: its Nodes, what it wants, when it was heard last. */
 export function Agents() {
   const agents = [...useItems("agents").values()].sort((one, other) => one.name.localeCompare(other.name));
-  const running = new Map<string, number>();
-  for (const release of useItems("releases").values())
-    running.set(release.agent, (running.get(release.agent) ?? 0) + 1);
+  const running = new Map<string, [string, Release][]>();
+  for (const entry of useItems("releases")) {
+    const { agent } = entry[1];
+    const known = running.get(agent);
+    if (known) known.push(entry);
+    else running.set(agent, [entry]);
+  }
+  const versions = versionsByDigest(useItems("catalogue").values());
   const [text, search] = useState("");
   const now = useNow();
   const found = filter(text);
@@ -31,10 +37,16 @@ export function Agents() {
       {shown.length ? (
         <Rows
           label="Agents"
-          heads={["Agent", "State", "Role", "Nodes", "Hold", "Releases", "Position heard"]}
+          heads={["Agent", "State", "Role", "Nodes", "Hold", "Versions", "Position heard"]}
           items={shown}
           row={(agent) => (
-            <Line key={agent.name} agent={agent} releases={running.get(agent.namespace) ?? 0} now={now} />
+            <Line
+              key={agent.name}
+              agent={agent}
+              releases={running.get(agent.namespace) ?? []}
+              versions={versions}
+              now={now}
+            />
           )}
         />
       ) : (
@@ -57,7 +69,14 @@ function searched(agent: Agent) {
   };
 }
 
-function Line({ agent, releases, now }: { agent: Agent; releases: number; now: number }) {
+interface LineProperties {
+  readonly agent: Agent;
+  readonly releases: readonly (readonly [string, Release])[];
+  readonly versions: ReadonlyMap<string, string>;
+  readonly now: number;
+}
+
+function Line({ agent, releases, versions, now }: LineProperties) {
   const pose = live.table.maps.poses.get(agent.name);
   return (
     <tr>
@@ -86,11 +105,31 @@ function Line({ agent, releases, now }: { agent: Agent; releases: number; now: n
       <Cell head="Hold">
         <Hold agent={agent} now={now} />
       </Cell>
-      <Cell head="Releases">{releases}</Cell>
+      <Cell head="Versions">
+        <Versions releases={releases} versions={versions} />
+      </Cell>
       <Cell head="Position heard">
         {pose ? <Time ms={pose.received_ms} now={now} /> : <span class="quiet">never</span>}
       </Cell>
     </tr>
+  );
+}
+
+/** Which charts run there, each in which version: what its digest is in the catalogue. */
+function Versions({ releases, versions }: Pick<LineProperties, "releases" | "versions">) {
+  if (!releases.length) return <span class="quiet">nothing runs</span>;
+  return (
+    <details class="changes">
+      <summary>{count(releases.length, "release")}</summary>
+      <ul>
+        {releases.map(([key, release]) => (
+          <li key={key}>
+            <a href={why("release", key)}>{release.release}</a>{" "}
+            <span class="quiet">{versions.get(release.digest) ?? "of no version that the catalogue has"}</span>
+          </li>
+        ))}
+      </ul>
+    </details>
   );
 }
 

@@ -3,6 +3,7 @@ import type { CatalogueEntry } from "../live/model";
 import { Badge, Cell, Choice, Empty, Rows, Search, Stale } from "../parts/parts";
 import { filter } from "../search";
 import { useItems, useNow, why } from "../state";
+import { findingWords, followersOf } from "../parts/evidence";
 import { count, short } from "../words";
 
 type Which = "all" | CatalogueEntry["kind"] | "running";
@@ -15,6 +16,7 @@ export function Catalogue() {
   const [which, choose] = useState<Which>("all");
   const now = useNow();
   const found = filter(text);
+  const followers = followersOf(entries.map(([, entry]) => entry));
   const shown = entries.filter(([, entry]) => chosen(entry, which) && found(searched(entry)));
   const choices: [Which, string][] = [
     ["all", "All"],
@@ -34,9 +36,11 @@ export function Catalogue() {
       {shown.length ? (
         <Rows
           label="Catalogue"
-          heads={["Name", "Version", "State", "What it is", "Evidence", "Runs"]}
+          heads={["Name", "Version", "State", "What it is", "Evidence", "Upgrades", "Runs"]}
           items={shown}
-          row={([key, entry]) => <Line key={key} entry={entry} />}
+          row={([key, entry]) => (
+            <Line key={key} entry={entry} next={followers.get(`${entry.name} ${entry.version}`)} />
+          )}
         />
       ) : (
         <Empty title={entries.length ? "No entry matches." : "Nothing is published yet."}>
@@ -61,11 +65,12 @@ function chosen(entry: CatalogueEntry, which: Which): boolean {
 }
 
 function searched(entry: CatalogueEntry) {
-  const { name, version, state, description, provides, digest, evidence } = entry;
-  return { name, version, state, description, provides, digest, evidence };
+  const { name, version, state, description, provides, digest, evidence, channel } = entry;
+  const suites = entry.findings.map(({ suite, result }) => `${suite} ${result}`);
+  return { name, version, state, description, provides, digest, evidence, channel, suite: suites };
 }
 
-function Line({ entry }: { entry: CatalogueEntry }) {
+function Line({ entry, next }: { entry: CatalogueEntry; next: readonly string[] | undefined }) {
   return (
     <tr>
       <Cell head="Name">
@@ -82,6 +87,7 @@ function Line({ entry }: { entry: CatalogueEntry }) {
       </Cell>
       <Cell head="State">
         <Badge tone={entry.state === "verified" ? "good" : "quiet"}>{entry.state}</Badge>
+        <div class="quiet">{entry.channel}</div>
       </Cell>
       <Cell head="What it is" wide>
         {entry.description}
@@ -89,6 +95,10 @@ function Line({ entry }: { entry: CatalogueEntry }) {
       </Cell>
       <Cell head="Evidence">
         <Evidence entry={entry} />
+        <Findings entry={entry} />
+      </Cell>
+      <Cell head="Upgrades">
+        <Upgrades entry={entry} next={next ?? []} />
       </Cell>
       <Cell head="Runs">
         {entry.releases.slice(0, RUNS_MAX).map((release) => (
@@ -109,4 +119,44 @@ function Evidence({ entry }: { entry: CatalogueEntry }) {
   if (entry.evidence_problem) return <span class="bad">{entry.evidence_problem}</span>;
   if (!entry.evidence) return <span class="quiet">{entry.kind === "chart" ? "none" : ""}</span>;
   return <code title={entry.evidence}>{short(entry.evidence)}</code>;
+}
+
+/** What each suite found, and who signed that. */
+function Findings({ entry }: { entry: CatalogueEntry }) {
+  if (!entry.findings.length) return null;
+  const passed = entry.findings.filter(({ result }) => result === "PASSED").length;
+  return (
+    <details class="changes">
+      <summary>
+        {passed} of {count(entry.findings.length, "suite")} passed
+        <span class="hidden">
+          : {entry.name} {entry.version}
+        </span>
+      </summary>
+      <ul>
+        {entry.findings.map((finding) => (
+          <li key={finding.suite}>
+            {finding.suite}: <span class={finding.result === "PASSED" ? "" : "bad"}>{findingWords(finding)}</span>
+          </li>
+        ))}
+      </ul>
+      {entry.policy && (
+        <p class="quiet">
+          under policy <code title={entry.policy}>{short(entry.policy)}</code>
+        </p>
+      )}
+    </details>
+  );
+}
+
+/** Where a version stands in the graph of upgrades. */
+function Upgrades({ entry, next }: { entry: CatalogueEntry; next: readonly string[] }) {
+  if (entry.kind !== "chart") return null;
+  return (
+    <>
+      <div>{entry.replaces ? `from ${entry.replaces}` : <span class="quiet">from no other</span>}</div>
+      {entry.skips.length > 0 && <div class="quiet">also from {entry.skips.join(", ")}</div>}
+      {next.length > 0 && <div>to {next.join(", ")}</div>}
+    </>
+  );
 }

@@ -167,6 +167,10 @@ CATALOGUE = {
             "version": "0.2.3",
             "state": "verified",
             "digest": "sha256:" + "a" * 64,
+            "channel": "stable",
+            "replaces": "0.2.2",
+            "skips": ["0.2.1"],
+            "findings": [{"suite": "static", "result": "PASSED", "passed": 3, "failed": [], "signed_by": "9f3c"}],
         },
     ]
 }

@@ -157,7 +157,10 @@ def test_a_recording_of_nothing_that_is_known_is_alone_in_its_chain() -> None:
 def test_the_first_message_is_none_of_before_the_recording_when_there_is_a_later_one() -> None:
     page = given.recordings(None)
     [pose, silent] = page["recordings"][0]["topics"]
-    page["recordings"][0]["topics"] = [pose, silent | {"window": [given.BEGAN + given.SECOND, given.BEGAN], "stored": 2}]
+    page["recordings"][0]["topics"] = [
+        pose,
+        silent | {"window": [given.BEGAN + given.SECOND, given.BEGAN], "stored": 2},
+    ]
     all_of_it = replace(view(), recordings=recording_documents(page, "cloud-0", "cloud-0/recorder-0"))
     chain = steps(find_of("recording", "encounter-0", all_of_it), all_of_it)
     first = next(step for step in chain if step.step == "first message")

@@ -47,6 +47,7 @@ class Assessment:
 
     assured: bool
     problems: tuple[str, ...] = ()
+    findings: tuple[Mapping[str, Any], ...] = ()
 
 
 def schema(name: str) -> dict[str, Any]:

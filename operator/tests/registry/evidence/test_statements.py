@@ -69,6 +69,19 @@ def test_complete_evidence_assures_and_names_the_summary() -> None:
     assert (assessment.assured, assessment.evidence, assessment.explanation) == (True, SUMMARY, "")
 
 
+def test_what_suites_found_is_told_with_who_signed_it_also_where_it_does_not_suffice() -> None:
+    first, second, *_ = POLICY.suites
+    failing = changed(
+        evidence(), first.name, lambda s: s["predicate"].update(result="FAILED", failedTests=["it-starts"])
+    )
+    findings = assess(APP, POLICY, SUMMARY, {**failing, second.name: "it is signed with key 'x'"}, LISTING).findings
+    assert [finding["suite"] for finding in findings] == [rule.name for rule in POLICY.suites]
+    told = [(f["result"], f["failed"], f["signed_by"]) for f in findings[:2]]
+    assert told == [("FAILED", ["it-starts"], KEY), ("none", [], "")]
+    broken = changed(evidence(), first.name, lambda s: s.update(predicate="no mapping"))
+    assert assess(APP, POLICY, SUMMARY, broken, LISTING).findings[0]["passed"] == 0
+
+
 @pytest.mark.parametrize(
     ("listing", "words"),
     [

@@ -40,6 +40,13 @@ def differences(agents: list[str]) -> Document:
     return {"values": values, "more": 3}
 
 
+def findings(bad: bool) -> list[Document]:
+    """What suites found of a chart version; of a `bad` one nobody signed the last."""
+    passed = {"result": "PASSED", "passed": 12, "failed": [], "signed_by": "9f3c2a10"}
+    unsigned = {"result": "none", "passed": 0, "failed": [], "signed_by": ""}
+    return [{"suite": "static", **passed}, {"suite": "install", **(unsigned if bad else passed)}]
+
+
 def recording(number: int, event: Document) -> Document:
     """The recording of an event."""
     began, ended = event["began_ms"], event["ended_ms"]

@@ -9,7 +9,7 @@ import random
 from dataclasses import dataclass, field
 from typing import Any
 
-from tests.stages.console.documents import NOT_READY, PARAMETERS, RULE, differences, recording
+from tests.stages.console.documents import NOT_READY, PARAMETERS, RULE, differences, findings, recording
 
 Document = dict[str, Any]
 ChainRow = tuple[str, str | None, str, str, str, int, int | None, str]
@@ -225,6 +225,11 @@ class Fleet:
                     "digest": f"sha256:{hex_word(chart + version, 64)}",
                     "evidence": f"sha256:{hex_word('evidence' + chart + version, 64)}",
                     "evidence_problem": "no trusted key signed it" if bad else "",
+                    "channel": "stable",
+                    "policy": f"sha256:{hex_word('policy', 64)}",
+                    "replaces": {"0.2.1": "0.1.1", "0.1.1": "0.0.1"}.get(version, ""),
+                    "skips": ["0.0.1"] if version == "0.2.1" else [],
+                    "findings": findings(bad),
                     "parameters": {},
                     "releases": [f"{name}/{chart}" for name in self.names[: 4 * number]] if version == "0.2.1" else [],
                 }
@@ -232,7 +237,10 @@ class Fleet:
         more = {"description": "Poses into the database, point clouds into segments.", "provides": ["recording"]}
         more["parameters"] = PARAMETERS
         entries["application/pose-point-cloud-recording"] = (
-            application | more | {"digest": "", "evidence": "", "evidence_problem": "", "releases": []}
+            application
+            | more
+            | {"digest": "", "evidence": "", "evidence_problem": "", "releases": []}
+            | {"channel": "", "policy": "", "replaces": "", "skips": [], "findings": []}
         )
         return entries
 
@@ -406,7 +414,9 @@ def plan_document(event: Document, state: str) -> Document:
         "error": error if state == "refused" else "",
         "waits": "pull request 12: the person who approves vehicles has not yet" if state == "open" else "",
         "differences": None if event["began_ms"] % 3 == 2 else differences(event["agents"]),
-        "choices": [{"task": "cloud-0/recording-3f2a9c", "choice": "recorder on cloud-0: it is the agent that records"}],
+        "choices": [
+            {"task": "cloud-0/recording-3f2a9c", "choice": "recorder on cloud-0: it is the agent that records"}
+        ],
         "demand_seen_ms": began + 20,
         "started_ms": began + 27,
         "proposed_ms": began + 480,

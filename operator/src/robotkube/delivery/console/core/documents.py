@@ -200,11 +200,16 @@ def _entries(page: Object) -> Iterator[tuple[str, Object]]:
 
 
 def _entry(entry: Object, running: Mapping[str, Sequence[str]]) -> dict[str, Any]:
-    words = ("kind", "name", "version", "state", "description", "digest", "evidence", "evidence_problem")
+    words = (
+        *("kind", "name", "version", "state", "description", "digest", "evidence", "evidence_problem"),
+        *("channel", "policy", "replaces"),
+    )
     digest = str(entry.get("digest") or "")
     return {
         **{key: str(entry.get(key) or "") for key in words},
         "provides": list(entry.get("provides") or ()),
+        "skips": list(entry.get("skips") or ()),
+        "findings": [dict(finding) for finding in entry.get("findings") or ()],
         "parameters": entry.get("parameters") or {},
         "releases": sorted(running.get(digest, ())) if digest else [],
     }

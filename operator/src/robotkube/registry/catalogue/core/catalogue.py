@@ -68,6 +68,10 @@ class EvidenceAssessment(Protocol):
     def problems(self) -> Sequence[str]:
         """Why not."""
 
+    @property
+    def findings(self) -> tuple[Mapping[str, Any], ...]:
+        """What each suite found, and who signed it."""
+
 
 @dataclass(frozen=True)
 class Catalogue:
@@ -246,7 +250,7 @@ def _assessed(version: ChartVersion, assessment: EvidenceAssessment | None) -> C
     if assessment is None:
         return version
     problem = "" if assessment.assured else "; ".join(assessment.problems) or "it does not meet the policy"
-    return replace(version, assured=assessment.assured, evidence_problem=problem)
+    return replace(version, assured=assessment.assured, evidence_problem=problem, findings=assessment.findings)
 
 
 def _judged(application: Application, assessment: ApplicationAssessment | None) -> Application:

@@ -50,7 +50,8 @@ class ChartVersion:
 
     `state` and `digest` (OCI manifest digest) are empty in a source; `images` are names, `image_references` what the
     published status pins. `evidence` is the digest of the summary's envelope and `policy` that of its policy, as the
-    status says it; `assured` only when that evidence was checked, else `evidence_problem` says what is missing.
+    status says it; `assured` only when that evidence was checked, else `evidence_problem` says what is missing;
+    `findings` is what each suite found, and which key signed it.
     `settings` is one of SETTINGS, empty when the entry says nothing. `interfaces` and `suites` are written as
     templates over the chart's values. `entry` is the digest of everything that a published entry says
     (`packing.published_digest`).
@@ -79,6 +80,7 @@ class ChartVersion:
     entry: str = ""
     assured: bool = False
     evidence_problem: str = NO_EVIDENCE
+    findings: tuple[Mapping[str, Any], ...] = ()
 
     @property
     def reference(self) -> ChartReference:

@@ -69,6 +69,7 @@ def _chart(version: ChartVersion, catalogue: Catalogue) -> dict[str, Any]:
         "imageReferences": list(version.image_references),
         "evidence": catalogue.evidence_of(version),
         "policy": version.policy,
+        "findings": [dict(finding) for finding in version.findings],
         "assured": version.assured,
         "evidence_problem": version.evidence_problem if version.state and catalogue.assurance != "none" else "",
     }

@@ -105,7 +105,7 @@ class EvidenceReader:
         listing = Listing(version.entry, "" if schema is None else sha256(schema.encode("utf-8", "surrogatepass")))
         assessments = [assess(artefact, policy, version.evidence, statements, listing) for artefact in artefacts]
         problems = tuple(dict.fromkeys(problem for assessment in assessments for problem in assessment.problems))
-        return known, Assessment(not problems, assessments[0].evidence, problems)
+        return known, Assessment(not problems, assessments[0].evidence, problems, assessments[0].findings)
 
     def _outcome(self, text: str) -> VerifiedStatement | str:
         try:

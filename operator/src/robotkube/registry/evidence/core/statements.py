@@ -29,6 +29,8 @@ PASSED, FAILED = "PASSED", "FAILED"
 FINISHED = "suite-finished"  # the test that a run fails which did not come to its end
 LEVEL = "ROBOTKUBE_VERIFIED"
 CHECKS_MAX = 500
+FAILED_MAX = 20
+"""So many failed checks of a suite are shown."""
 
 Outcome = Literal["passed", "failed", "unfinished"]
 
@@ -111,11 +113,13 @@ class VerifiedStatement:
 @dataclass(frozen=True)
 class Assessment:
     """The judgement on the evidence of a chart version: `assured` when it covers the version. `evidence` is the summary
-    envelope's digest (empty when there is none); `problems` are sentences, empty exactly when `assured`."""
+    envelope's digest (empty when there is none); `problems` are sentences, empty exactly when `assured`; `findings` what
+    each suite found and who signed it, as people read it."""
 
     assured: bool
     evidence: str = ""
     problems: tuple[str, ...] = ()
+    findings: tuple[Mapping[str, Any], ...] = ()
 
     @property
     def explanation(self) -> str:
@@ -211,7 +215,28 @@ def assess(
     if evidence and status_evidence != evidence:
         stated = status_evidence or "nothing"
         problems.append(f"status.evidence names {stated}, the summary is {evidence}; submit the chart again")
-    return Assessment(not problems, evidence, tuple(problems))
+    findings = tuple(_finding(rule.name, statements.get(rule.name)) for rule in policy.suites)
+    return Assessment(not problems, evidence, tuple(problems), findings)
+
+
+def _finding(suite: str, verified: VerifiedStatement | str | None) -> Mapping[str, Any]:
+    """What the statement of a suite says: `signed_by` is the trusted key, empty where no such statement is there."""
+    if not isinstance(verified, VerifiedStatement):
+        return {"suite": suite, "result": "none", "passed": 0, "failed": [], "signed_by": ""}
+    predicate = mapping(verified.statement.get("predicate"))
+    passed, failed = ([str(one) for one in _listed(predicate.get(name))] for name in ("passedTests", "failedTests"))
+    result = str(predicate.get("result"))
+    return {
+        "suite": suite,
+        "result": result,
+        "passed": len(passed),
+        "failed": failed[:FAILED_MAX],
+        "signed_by": verified.key_id,
+    }
+
+
+def _listed(value: Any) -> Sequence[Any]:
+    return value if isinstance(value, list) else []
 
 
 def lasting_problems(

@@ -142,7 +142,9 @@ class Console:
         key = f"{request.path_params['agent']}/{request.path_params['recording']}"
         recording = self._model.documents(kinds.RECORDINGS).get(key)
         if recording is None:
-            detail = f"No recorder told of {key[:200]} since this console began; `robotkube recording export` writes one."
+            detail = (
+                f"No recorder told of {key[:200]} since this console began; `robotkube recording export` writes one."
+            )
             raise ProblemError(404, "Not known", detail)
         layout = recording_layout(topic["topic"] for topic in recording["topics"])
         name = FILE_NAME.sub("_", recording["recording"])[:200]
