@@ -37,6 +37,11 @@ await withBrowser(async (browser) => {
   await page.locator("tbody tr").first().waitFor();
   await goTo(page, "recordings", "Recordings");
   await picture(page, folder, "recordings");
+  const layout = page.getByRole("link", { name: "for Foxglove or Lichtblick" }).first();
+  if (await layout.count()) {
+    const [file] = await Promise.all([page.waitForEvent("download"), layout.click()]);
+    console.log(`${file.suggestedFilename()} came`);
+  }
 
   await page.getByRole("navigation").getByRole("link", { name: "Tasks" }).click();
   await page.getByRole("link", { name: "Ask for an application" }).click();
@@ -44,7 +49,11 @@ await withBrowser(async (browser) => {
   await page.getByRole("textbox", { name }).first().fill(value);
   await page.getByRole("button", { name: "See what would happen" }).click();
   await page.getByRole("heading", { name: "What would happen" }).waitFor();
-  assert.equal(await page.getByRole("button", { name: "Submit" }).count(), 0, "nobody signs in, so nobody submits");
+  assert.equal(
+    await page.getByRole("button", { name: "Submit", exact: true }).count(),
+    0,
+    "nobody signs in, so nobody submits",
+  );
   await page.getByText("You cannot submit here.").waitFor();
   await picture(page, folder, "tasks");
 

@@ -81,6 +81,28 @@ async function saysWhoShares(browser) {
   await page.context().close();
 }
 
+/** A recording leads to its chain, to a layout and to a command, which can be copied. */
+async function takesARecordingAlong(browser) {
+  const { page, complaints } = await openPage(browser, url);
+  await goTo(page, "recordings", "Recordings");
+  const row = page.locator("tbody tr").first();
+  const layout = row.getByRole("link", { name: "for Foxglove or Lichtblick" });
+  assert.match(await layout.getAttribute("href"), /^api\/recordings\/cloud-0\/encounter-[^/]+\/layout$/);
+  const command = await row.locator(".command code").textContent();
+  assert.match(command, /^robotkube recording export encounter-\S+ \.\/encounter-\S+ --format mcap$/);
+  await page.context().grantPermissions(["clipboard-read", "clipboard-write"]);
+  await row.getByRole("button", { name: "Copy robotkube recording export" }).click();
+  await row.getByText("copied", { exact: true }).waitFor();
+  assert.equal(await page.evaluate(() => navigator.clipboard.readText()), command);
+  await page.evaluate(() => (Clipboard.prototype.writeText = () => Promise.reject(new Error("no leave"))));
+  await row.getByRole("button", { name: "Copy robotkube recording export" }).click();
+  await row.getByText("selected: copy it by Ctrl+C").waitFor();
+  assert.equal(await page.evaluate(() => getSelection().toString()), command);
+  assert.match(await row.getByRole("link").first().getAttribute("href"), /^#\/why\/recording\/cloud-0\/encounter-/);
+  assert.deepEqual(complaints, []);
+  await page.context().close();
+}
+
 /** Who moves on before a view was painted is followed: here as soon as the form's choice is in the document. */
 async function movesOnAtOnce(browser) {
   const { page, complaints } = await openPage(browser, `${url}#/tasks`);
@@ -101,7 +123,7 @@ async function movesOnAtOnce(browser) {
 /** By keyboard alone: choose an application, fill the form, see what would happen, submit. */
 async function ask(browser) {
   const { page, complaints } = await openPage(browser, `${url}#/tasks/ask/pose-point-cloud-recording`);
-  const submit = page.getByRole("button", { name: "Submit" });
+  const submit = page.getByRole("button", { name: "Submit", exact: true });
   await submit.waitFor();
   assert.equal(await submit.isDisabled(), true, "before one has seen what would happen");
   await page.getByRole("button", { name: "See what would happen" }).click();
@@ -129,6 +151,7 @@ await withBrowser(async (browser) => {
   await look(browser, "phone", true);
   if (mode === "live") await findsViolations(browser);
   if (mode === "live") await saysWhoShares(browser);
+  if (mode === "live") await takesARecordingAlong(browser);
   if (mode === "live") await movesOnAtOnce(browser);
   if (mode === "live") await ask(browser);
 });

@@ -52,6 +52,7 @@ def test_a_way_through_the_page_of_the_consoles_own_process() -> None:
         running.streams.stop()
         server.stop()
     assert "as they should be" in said
+    assert "encounter-0.layout.json came" in said
     [(_, question)] = platform.questions
     assert question["spec"]["parameters"] == {"vehicles": ["vehicle-00"]}
 

@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { Link } from "../live/model";
-import { argocdPage, linkRate, linksInWords, linkWords } from "./links";
+import { argocdPage, linkRate, linksInWords, linkWords, policiesPage } from "./links";
 
 const LINK: Link = {
   release: "vehicle-00/mqtt-bridge",
@@ -41,5 +41,16 @@ describe("Argo CD's page of an Application", () => {
       "https://argocd.example.com/applications/cloud-0-recorder",
     );
     expect(argocdPage("", "cloud-0-recorder")).toBe("");
+  });
+});
+
+describe("the policies on the forge", () => {
+  it("are in the repository of any plan, else somewhere on the forge", () => {
+    const requests = ["", "https://git.example.com/robotkube/deployment/pulls/12"];
+    expect(policiesPage(requests, "https://git.example.com")).toBe(
+      "https://git.example.com/robotkube/deployment/src/branch/main/policies",
+    );
+    expect(policiesPage([""], "https://git.example.com")).toBe("https://git.example.com");
+    expect(policiesPage([], "")).toBe("");
   });
 });

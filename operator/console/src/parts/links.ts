@@ -45,3 +45,12 @@ export function linksInWords(links: readonly Link[]): string {
 /** Argo CD's page of an Application, by the address of its pages; empty where nobody gave one. */
 export const argocdPage = (pages: string, application: string): string =>
   pages && `${pages.replace(/\/+$/, "")}/applications/${encodeURIComponent(application)}`;
+
+/** The forge's page of the policies on main, by the address of any pull request of that repository, or of the forge. */
+export function policiesPage(requests: Iterable<string>, forge: string): string {
+  for (const request of requests) {
+    const [repository, number] = request.split("/pulls/");
+    if (repository && number) return `${repository}/src/branch/main/policies`;
+  }
+  return forge;
+}

@@ -5,6 +5,7 @@ import type { CatalogueEntry, Explanation, TaskRequest } from "../live/model";
 import { Command } from "../parts/Command";
 import { Explained } from "../parts/Explained";
 import { Empty, Stale, Words } from "../parts/parts";
+import { Policies } from "../parts/Policies";
 import { at, go, useItems, useNow, usePlace, useSession, why } from "../state";
 
 const REASON_CHARACTERS_MAX = 200;
@@ -45,6 +46,7 @@ export function Ask() {
           </p>
         </Empty>
       )}
+      <Policies />
       {application && <Parameters key={application.name} application={application} />}
     </main>
   );

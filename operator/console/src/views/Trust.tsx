@@ -1,4 +1,5 @@
 import { Badge, Cell, Empty, Rows, Stale, Time } from "../parts/parts";
+import { Policies } from "../parts/Policies";
 import { useItems, useNow, why } from "../state";
 import { clock, count } from "../words";
 
@@ -15,6 +16,7 @@ export function Trust() {
       <Strangers now={now} />
       <BadEvidence />
       <Refused now={now} />
+      <Policies />
     </main>
   );
 }

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 from robotkube.errors import DocumentError, RefusalError
 from robotkube.foundation.documents.core.entry_reader import read_one_of

@@ -113,8 +113,8 @@ class VerifiedStatement:
 @dataclass(frozen=True)
 class Assessment:
     """The judgement on the evidence of a chart version: `assured` when it covers the version. `evidence` is the summary
-    envelope's digest (empty when there is none); `problems` are sentences, empty exactly when `assured`; `findings` what
-    each suite found and who signed it, as people read it."""
+    envelope's digest (empty when there is none); `problems` are sentences, empty exactly when `assured`; `findings` are
+    what each suite found and who signed it, as people read it."""
 
     assured: bool
     evidence: str = ""

@@ -28,9 +28,9 @@ TIMES = ("demand_seen", "started", "proposed", "merged", "synced", "observed")
 @dataclass
 class PlanRecord:
     """The record of one plan. `times` are ns since 1970, by the names in TIMES; `created`, `changed`, `removed` are
-    release keys; `differences` the values that change (None: nobody remembers them, the commit has them); `choices` are task
-    and sentence of what was decided; `waits` is reason and message for the tasks of a proposal that waits longer than usual; `unreachable` are old pods on dead
-    nodes: the plan is observed but for them."""
+    release keys; `differences` the values that change (None: nobody remembers them, the commit has them); `choices` are
+    task and sentence of what was decided; `waits` is reason and message for the tasks of a proposal that waits longer
+    than usual; `unreachable` are old pods on dead nodes: the plan is observed but for them."""
 
     id: str
     subject: str
