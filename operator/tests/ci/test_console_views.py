@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from http.server import ThreadingHTTPServer
 
 import pytest
@@ -57,11 +59,13 @@ def test_a_way_through_the_page_of_the_consoles_own_process() -> None:
     assert question["spec"]["parameters"] == {"vehicles": ["vehicle-00"]}
 
 
-@pytest.mark.parametrize("mode", MODES)
-def test_views(mode: str) -> None:
+@contextmanager
+def synthetic(mode: str, away: Iterable[str]) -> Iterator[str]:
+    """The address of the page before a synthetic fleet of which some sources are away."""
+
     class Synthetic(Handler):
         page = console.build()
-        fleet = Fleet(15, away=frozenset(["broker"]))
+        fleet = Fleet(15, away=frozenset(away))
 
     Synthetic.mode = mode
     server = ThreadingHTTPServer(("127.0.0.1", 0), Synthetic)
@@ -69,9 +73,26 @@ def test_views(mode: str) -> None:
     serving = threading.Thread(target=server.serve_forever, daemon=True)
     serving.start()
     try:
-        said = console.browse("views", mode, f"http://127.0.0.1:{server.server_port}/", str(PICTURES))
+        yield f"http://127.0.0.1:{server.server_port}/"
     finally:
         server.shutdown()
         server.server_close()
         serving.join(5)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_views(mode: str) -> None:
+    with synthetic(mode, ["broker"]) as url:
+        said = console.browse("views", mode, url, str(PICTURES))
     assert said == f"{mode}: as it should be\n"
+
+
+def test_each_source_that_is_away_is_said_where_what_it_carries_is_shown() -> None:
+    views = {
+        **{"manager/manager": "plans", "gate": "plans", "forge": "plans", "broker": "agents"},
+        **{"api-server-nodes": "agents", "api-server-tasks": "tasks", "argocd-application-controller": "catalogue"},
+        **{"detectors": "recordings"},
+    }
+    with synthetic("live", views) as url:
+        said = console.browse("sources", url, *(f"{source}={view}" for source, view in views.items()))
+    assert said == "each is said\n"

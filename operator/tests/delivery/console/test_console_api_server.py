@@ -90,6 +90,9 @@ def test_what_changes_in_the_cluster_is_told_in_a_stream(api: Api, console: http
     until(lambda: set(items(console, "sources")) >= {"api-server-nodes", "manager/manager"}, "sources are known")
     assert items(console, "sources")["api-server-tasks"]["ok"] is True
     assert items(console, "sources")["api-server-inspections"]["ok"] is False, "this server has no such kind"
+    until(lambda: "gate" in items(console, "sources"), "it was looked for the gate")
+    assert items(console, "sources")["gate"]["problem"] == "There is no pod of it."
+    assert "argocd-application-controller" not in items(console, "sources"), "it was never there"
     assert items(console, "agents")["cloud-0"]["nodes"] == []
     after = console.get("/api/snapshot").json()["id"]
     with console.stream("GET", "/api/events", params={"after": after}) as stream:

@@ -314,6 +314,9 @@ SOURCES = {
     "detectors": ["events", "rules", "recordings"],
     "bridges": ["links"],
     "broker": ["poses"],
+    "gate": ["plans", "catalogue"],
+    "forge": ["plans", "catalogue"],
+    "argocd-application-controller": ["releases"],
 }
 RULES: Document = {
     "cloud-0/event-detector/lidar-proximity": {

@@ -15,6 +15,8 @@ from robotkube.delivery.console.adapters.cluster_documents import (
 )
 from robotkube.delivery.console.core import table as kinds
 from robotkube.delivery.console.core.documents import stranger_documents, task_document
+from robotkube.delivery.console.core.platform_processes import ADVICE as WITHOUT
+from robotkube.delivery.console.core.platform_processes import CARRIES, NAMES, PlatformProcesses, ProcessPod
 from robotkube.delivery.console.ports import BridgePod, Detector, ModelWriting
 from robotkube.delivery.inspection.core.strangers import PLURAL as INSPECTIONS
 from robotkube.delivery.manager.adapters.kubernetes_cluster import read_nodes
@@ -57,6 +59,9 @@ class ClusterWatches:
         inspections = f"/apis/{GROUP}/{VERSION}/namespaces/{platform}/{INSPECTIONS}"
         self._nodes = ResourceWatch(api, "/api/v1/nodes", AGENT, read_nodes, self._node_changed)
         self._pods = ResourceWatch(api, "/api/v1/pods", AGENT, read_shown_pod, self._pod_changed)
+        self._present = PlatformProcesses(platform, argocd, {str(agent["namespace"]) for agent in agents})
+        labelled = f"{NAME_LABEL} in ({','.join(NAMES)})"
+        self._processes = ResourceWatch(api, "/api/v1/pods", labelled, read_process_pod, lambda *_: None)
         self._watches: Mapping[str, tuple[ResourceWatch, Sequence[str]]] = {
             "nodes": (self._nodes, (kinds.AGENTS,)),
             "tasks": (ResourceWatch(api, tasks, "", task_document, self._task_changed), (kinds.TASKS,)),
@@ -75,13 +80,21 @@ class ClusterWatches:
         """Watch, and say of each watch whether it runs, until `stopping` is set."""
         for agent in self._agents.values():
             self._model.put(kinds.AGENTS, str(agent["name"]), agent_document(agent, ()))
-        for watch, _ in self._watches.values():
+        watches = [self._processes, *(watch for watch, _ in self._watches.values())]
+        for watch in watches:
             watch.start()
         while not stopping.wait(POLL_SECONDS):
             for name, (watch, carries) in self._watches.items():
                 self._model.put_source(f"api-server-{name}", watch.complaint, ADVICE, carries)
-        for watch, _ in self._watches.values():
+            self._say_who_is_there()
+        for watch in watches:
             watch.stop()
+
+    def _say_who_is_there(self) -> None:
+        """Nothing new is said while the API server is away: its own sources say that."""
+        if self._processes.synced.is_set() and not self._processes.complaint:
+            for one in self._present.presences(self._processes.values().values()):
+                self._model.put_source(one.process, one.problem, WITHOUT[one.process], CARRIES[one.process])
 
     def missing(self) -> Sequence[str]:
         """What was not read yet of what there always is, a sentence each."""
@@ -122,6 +135,14 @@ class ClusterWatches:
             self._model.put(kinds.STRANGERS, gone, None)
         for name, document in (now or {}).items():
             self._model.put(kinds.STRANGERS, name, document)
+
+
+def read_process_pod(item: Object) -> ProcessPod:
+    """A pod of a process of the platform's."""
+    document = pod_document(item)
+    ready = document["ready"] and not document["deleting"]
+    why = "it is being removed" if document["deleting"] else document["trouble"] or f"it is {document['phase']}"
+    return ProcessPod(str(item["metadata"]["labels"][NAME_LABEL]), document["namespace"], ready, why)
 
 
 def read_shown_pod(item: Object) -> dict[str, Any]:
