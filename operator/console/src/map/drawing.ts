@@ -17,6 +17,7 @@ export interface Theme {
 
 const TAU = 2 * Math.PI;
 const LABELS_MAX = 60;
+const ROLES_MAX = 20;
 const NAMED_EVENTS_MAX = 15;
 export const TRAILS_EACH_FRAME_MAX = 100;
 const FAINT = 0.25;
@@ -278,6 +279,7 @@ export class Drawing {
     for (const agent of all) {
       const { x, y } = this.at(agent.place);
       this.text(agent.name, x, y + 28, this.theme.ink);
+      if (all.length <= ROLES_MAX && agent.role) this.text(agent.role, x, y + 42, this.theme.quiet);
     }
   }
 
