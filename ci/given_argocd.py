@@ -64,10 +64,9 @@ def give_back(kubectl: Kubectl) -> tuple[str, ...]:
 def server_values(kubectl: Kubectl, spoken: ServerSpeech | None) -> dict[str, Any]:
     """What the platform's chart is told of argocd-server (`argocd.server`), so that managers reach it as it answers;
     nothing where the chart's own assumption holds, or nobody can say."""
-    if spoken is None or spoken.encrypted is not True:
-        scheme, authorities = "http", ""
-    else:
-        scheme, authorities = "https", _shown(kubectl)
+    encrypted = spoken is not None and spoken.encrypted is True
+    scheme = "https" if encrypted else "http"
+    authorities = _shown(kubectl) if encrypted else ""
     known = {"authorities": authorities} if authorities else {}
     root = spoken.root if spoken and isinstance(spoken.root, str) else ""
     return {**known, "url": f"{scheme}://{SERVER}.{NAMESPACE}.svc/{root}"} if root else known

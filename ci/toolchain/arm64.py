@@ -24,7 +24,8 @@ ARCHITECTURE = "arm64"
 C_COMPILER, C_PACKAGE = "aarch64-linux-gnu-gcc", "gcc-aarch64-linux-gnu"
 DATABASE = "ferretdb"  # has a build of its own
 OTHER_LIBRARIES = {"runc": "its C part needs libseccomp of arm64"}
-ELF_64_LITTLE, AARCH64 = b"\x7fELF\x02\x01", 183  # of the ELF specification: EI_MAG to EI_DATA, and EM_AARCH64
+ELF_64_LITTLE = b"\x7fELF\x02\x01"  # EI_MAG to EI_DATA of the ELF specification
+AARCH64 = 183  # EM_AARCH64, of the same
 MACHINE_AT, HEADER_BYTES = 18, 20
 TARGET = PROJECT / "build" / ARCHITECTURE
 

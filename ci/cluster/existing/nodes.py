@@ -167,7 +167,8 @@ def _connected(given: GivenCluster) -> client.ApiClient:
         named = given.kubeconfig or "kubectl's kubeconfig"
         raise InputError(f"{named}: {str(error).rstrip('.')}; give KUBECONFIG and CONTEXT") from error
     except NO_KUBECONFIG as error:
-        named, words = given.kubeconfig or "kubectl's kubeconfig", " ".join(str(error).split())
+        named = given.kubeconfig or "kubectl's kubeconfig"
+        words = " ".join(str(error).split())
         raise InputError(f"{named}: is no kubeconfig ({words}); give KUBECONFIG and CONTEXT") from error
     api.configuration.retries = False
     return api

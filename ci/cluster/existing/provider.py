@@ -101,7 +101,8 @@ class Existing(ReachedThroughApiServer):
 
     def lacking_images(self) -> str:
         """The sentence about images of application charts, and about those of publishers."""
-        built, place = REPOSITORY.rpartition("/")[2], self._place()
+        built = REPOSITORY.rpartition("/")[2]
+        place = self._place()
         found = f"by a mirror of that name ({PAGE})"
         if place and place.rpartition("/")[2] != built:
             found = f"by no mirror of containerd, since REGISTRY {place} does not end with /{built} ({PAGE})"

@@ -71,6 +71,7 @@ describe("following the process", () => {
 
   it("does not open a stream again at once whose change it cannot read", async () => {
     vi.useFakeTimers();
+    vi.spyOn(Math, "random").mockReturnValue(0.95);
     const beat = frame("heartbeat", { version: 4, time_ms: 1 });
     const broken = pieces(beat, frame("change", { id: "e.5" }));
     const following = followed(snapshot(4), broken, signIn());
@@ -79,6 +80,7 @@ describe("following the process", () => {
     await vi.advanceTimersByTimeAsync(1000);
     await following;
     vi.useRealTimers();
+    vi.restoreAllMocks();
     expect(asked).toBe(2);
   });
 

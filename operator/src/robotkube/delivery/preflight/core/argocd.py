@@ -70,8 +70,10 @@ class ServerSpeech:
 
 
 def argocd(present: ArgoCd, settings: Mapping[str, Any]) -> CheckVerdict:
-    """The check of Argo CD: it has its definitions, its parts that carry releases out run, managers reach its server."""
-    installed, reached = argocd_installed(present), _reached(present, settings)
+    """The check of Argo CD: its definitions are there, its parts that carry releases out run, managers reach its
+    server."""
+    installed = argocd_installed(present)
+    reached = _reached(present, settings)
     unseen = "; ".join(filter(None, (installed.unseen, reached.unseen)))
     said = ", ".join(filter(None, (installed.says, reached.says)))
     return CheckVerdict(said, [*installed.problems, *reached.problems], unseen)
@@ -188,7 +190,8 @@ def _ports(present: ArgoCd, wanted: int) -> Iterator[Problem]:
 
 
 def _scheme(present: ArgoCd, spoken: ServerSpeech, url: str) -> Iterator[Problem]:
-    where, asked = f"Deployment {present.namespace}/{SERVER}", url.startswith("https://")
+    where = f"Deployment {present.namespace}/{SERVER}"
+    asked = url.startswith("https://")
     if isinstance(spoken.encrypted, Unread) or spoken.encrypted == asked:
         return
     if spoken.encrypted:

@@ -93,7 +93,8 @@ class PlanRecords:
         while len(self._records) > RECORDS_MAX:
             self._records.popitem(last=False)
         for old in islice(reversed(self._records.values()), DIFFERENCES_MAX, DIFFERENCES_MAX + 1):
-            old.differences, old.choices = None, ()
+            old.differences = None
+            old.choices = ()
         return record
 
     def has_merged(self, plan: str) -> bool:
