@@ -1,5 +1,9 @@
 {{- /* The values of console, also when an upgrade reuses values from before there were any. */ -}}
 {{- define "robotkube.console" -}}
+{{- include "robotkube.once" (dict "root" . "of" "robotkube.consoleOfValues") -}}
+{{- end }}
+
+{{- define "robotkube.consoleOfValues" -}}
 {{- $console := dict "enabled" false "anybodyReads" false "hosts" list "proxies" list "poseTopic" "mqtt/vehicles/{agent}/pose" }}
 {{- $_ := set $console "links" (dict "forge" "" "argocd" "") }}
 {{- $_ := set $console "signIn" (dict "forge" false "issuer" "" "clientId" "" "secret" "" "url" "" "groups" list "usernameClaim" "preferred_username" "groupsClaim" "groups" "scopes" list "writers" list) }}

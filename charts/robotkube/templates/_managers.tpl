@@ -1,5 +1,9 @@
 {{- /* The managers with every key: what `managers` leaves out is filled in here, once. A JSON list. */ -}}
 {{- define "robotkube.managers" -}}
+{{- include "robotkube.once" (dict "root" . "of" "robotkube.managersOfValues") -}}
+{{- end }}
+
+{{- define "robotkube.managersOfValues" -}}
 {{- $found := list }}
 {{- range .Values.managers }}
 {{- $scope := .scope | default dict }}

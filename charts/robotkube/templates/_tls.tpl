@@ -1,6 +1,10 @@
 {{- /* TLS: who makes the certificates of broker, database, forge and processes, and how everybody else knows them. */ -}}
 {{- /* The values of tls, also when an upgrade reuses values from before there were any. JSON. */ -}}
 {{- define "robotkube.tls" -}}
+{{- include "robotkube.once" (dict "root" . "of" "robotkube.tlsOfValues") -}}
+{{- end }}
+
+{{- define "robotkube.tlsOfValues" -}}
 {{- $tls := dict "mode" "made" "plain" false "processes" false "accounts" "passwords" "hours" 2160 "names" list "authorities" "" "provided" (dict "secret" "" "database" "" "forge" "" "processes" dict) }}
 {{- $_ := set $tls "issuer" (dict "name" "" "kind" "Issuer" "group" "cert-manager.io") }}
 {{- range $key, $value := .Values.tls | default dict }}
@@ -100,6 +104,10 @@ authorities: /etc/robotkube/authorities/ca.crt
 
 {{- /* "true" when this platform is there already, with accounts that are proved by passwords, else empty. */ -}}
 {{- define "robotkube.accountsOfBefore" -}}
+{{- include "robotkube.once" (dict "root" . "of" "robotkube.accountsFound") -}}
+{{- end }}
+
+{{- define "robotkube.accountsFound" -}}
 {{- with lookup "v1" "Secret" .Release.Namespace "broker-account-observer" }}{{ if ne (get .data "identity") ("certificate" | b64enc) }}true{{ end }}{{ end -}}
 {{- end }}
 
