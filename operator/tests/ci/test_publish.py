@@ -1,5 +1,6 @@
 """Publishing what was built to a real forge: images with their bills, charts by a submission that a gate verifies."""
 
+import functools
 import hashlib
 import io
 import json
@@ -7,6 +8,7 @@ import tarfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pygit2
 import pytest
@@ -14,6 +16,7 @@ import pytest
 from ci import evidence, publish
 from ci.errors import SetUpError
 from ci.images.image_lock import Image
+from robotkube.cli.registry.source_problems import check_sources
 from robotkube.registry.catalogue.core.catalogue import FOLDERS, read_catalogue
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.charts.core.packing import build_tag
@@ -91,6 +94,24 @@ def _catalogue_of_its_own(installation: Installation) -> Iterator[None]:
     tip = clone.tip()
     commit = clone.repository.create_commit(None, who, who, "as before\n", before.id, [tip])
     assert clone.push(str(commit), "refs/heads/main") == ""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _sources_are_checked_once() -> Iterator[None]:
+    """Validating and composing every application takes a second of a processor, and no test changes the repository's
+    sources: ten publications ask for the same charts and applications, of which the first is answered in full."""
+    with pytest.MonkeyPatch.context() as patching:
+
+        @functools.cache
+        def checked(names: tuple[str, ...], applications: tuple[str, ...], *rest: Any) -> None:
+            check_sources(names, applications, *rest)
+
+        patching.setattr(publish, "check_sources", lambda *given: checked(*map(_hashable, given)))
+        yield
+
+
+def _hashable(given: Any) -> Any:
+    return tuple(given) if isinstance(given, list) else given
 
 
 @pytest.fixture(autouse=True)
