@@ -8,7 +8,9 @@ tests show the forms that are read).
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Sequence
+from contextlib import suppress
+from functools import lru_cache
 from re import _constants as kinds  # type: ignore[attr-defined]
 from re import _parser as parser  # type: ignore[attr-defined]
 from typing import Any
@@ -16,6 +18,7 @@ from typing import Any
 CHARACTERS_MAX = 200
 PARTS_MAX = 2000
 VARIANTS = 4
+PATTERNS_KEPT = 256
 _CHARACTERS = dict.fromkeys("abcxyzABC012_-./ " + "".join(map(chr, range(32, 127))))  # the first ones are preferred
 _CATEGORIES = {
     kinds.CATEGORY_DIGIT: r"\d", kinds.CATEGORY_SPACE: r"\s", kinds.CATEGORY_WORD: r"\w",
@@ -23,17 +26,24 @@ _CATEGORIES = {
 }  # fmt: skip
 
 
-def fitting(pattern: str) -> Iterator[str]:
-    """Texts for a pattern, none when it is none or asks for more than CHARACTERS_MAX characters."""
+def fitting(pattern: str) -> Sequence[str]:
+    """Texts for a pattern, none when it is none, or too deep, or asks for more than CHARACTERS_MAX characters."""
     try:
-        parts = parser.parse(pattern)
+        return _fitting(pattern)
     except (re.error, RecursionError, OverflowError):
-        return
+        return ()
+
+
+@lru_cache(maxsize=PATTERNS_KEPT)
+def _fitting(pattern: str) -> Sequence[str]:
+    """These texts; those of the last patterns are kept, since the schemas of a catalogue have the same few again and
+    again."""
+    parts = parser.parse(pattern)
+    texts = []
     for variant in range(VARIANTS):
-        try:
-            yield _Text(variant).of(parts)
-        except (_NoTextError, RecursionError):
-            continue
+        with suppress(_NoTextError):
+            texts.append(_Text(variant).of(parts))
+    return tuple(texts)
 
 
 class _NoTextError(Exception):

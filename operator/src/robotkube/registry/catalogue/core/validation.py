@@ -52,8 +52,14 @@ class _Readable:
         return path in self.partly and not any(map(self.partly[path][1].touch, COMPARED))
 
 
-def validate_sources(sources: CatalogueSources, tools: Tools) -> list[SourceProblem]:
-    """The findings, by file, in the order in which the keys are checked."""
+Tried = dict[str, list[tuple[str, str]]]
+"""Text of an application -> what its templates said, without folders of charts: then nothing but the text decides."""
+
+
+def validate_sources(sources: CatalogueSources, tools: Tools, tried: Tried | None = None) -> list[SourceProblem]:
+    """The findings, by file, in the order in which the keys are checked. What was `tried` already is not tried again,
+    and what is tried is added; only where there are no folders of charts."""
+    tried = {} if tried is None or sources.folders else tried
     findings = list(sources.findings)
     readable = _Readable()
     for path in sorted(sources.files):
@@ -61,7 +67,7 @@ def validate_sources(sources: CatalogueSources, tools: Tools) -> list[SourceProb
     findings += [sources.finding(path, "file", "missing; write it") for path in _missing(sources)]
     for application in readable.applications.values():
         path = f"applications/{application.name}.yaml"
-        problems = _application(application, NOTHING_WRONG, readable, sources, tools)
+        problems = _application(path, application, NOTHING_WRONG, readable, sources, tools, tried)
         findings += [sources.finding(path, key, text) for key, text in problems]
     for chart, versions in readable.charts.items():
         findings += _versions(chart, versions, readable, sources, tools)
@@ -132,7 +138,7 @@ def _part(path: str, readable: _Readable, sources: CatalogueSources, tools: Tool
     """Mistakes in the parts of a document that could be read."""
     document, wrong = readable.partly[path]
     if isinstance(document, Application):
-        return wrong.free(_application(document, wrong, readable, sources, tools))
+        return wrong.free(_application(path, document, wrong, readable, sources, tools, {}))
     _, chart, file = path.split("/")
     folder = sources.folders.get(chart)
     same = folder if folder and folder.version == file.removesuffix(".yaml") else None
@@ -141,7 +147,13 @@ def _part(path: str, readable: _Readable, sources: CatalogueSources, tools: Tool
 
 
 def _application(
-    application: Application, wrong: WrongKeys, readable: _Readable, sources: CatalogueSources, tools: Tools
+    path: str,
+    application: Application,
+    wrong: WrongKeys,
+    readable: _Readable,
+    sources: CatalogueSources,
+    tools: Tools,
+    tried: Tried,
 ) -> Iterator[tuple[str, str]]:
     broken = [problem.removeprefix("schema: ") for problem in tools.check_schema(application.parameters)]
     yield from (("spec.parameters", f"no JSON Schema: {problem:.300}; correct it") for problem in broken)
@@ -161,7 +173,10 @@ def _application(
         return
     yield from _own_values(application.parameters, tools)
     yield from _named_applications(application.parameters, readable)
-    yield from application_problems(application, folders, tools, wrong)
+    text = sources.files[path]
+    if text not in tried:
+        tried[text] = application_problems(application, folders, tools, wrong)
+    yield from tried[text]
 
 
 def _own_values(parameters: Mapping[str, Any], tools: Tools) -> Iterator[tuple[str, str]]:

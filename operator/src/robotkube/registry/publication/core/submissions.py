@@ -26,7 +26,7 @@ from robotkube.foundation.documents.core.yaml_codec import read_mapping, write_m
 from robotkube.foundation.forge.core.reviews import APPROVED_BY, PULL_REQUEST
 from robotkube.registry.catalogue.core.catalogue import read_chart_version
 from robotkube.registry.catalogue.core.sources import CatalogueSources, SourceProblem, Tools
-from robotkube.registry.catalogue.core.validation import validate_sources
+from robotkube.registry.catalogue.core.validation import Tried, validate_sources
 from robotkube.registry.charts.core.packing import ENTRY_ANNOTATION, IMAGES_FILE, PulledChart, build_tag, entry_digest
 from robotkube.registry.charts.core.references import ChartReference
 from robotkube.registry.evidence.core.statements import Artefact
@@ -282,18 +282,19 @@ def new_findings(
 ) -> Iterable[tuple[str, str]]:
     """Path and words of each mistake that the catalogue has in `after` and not in `main`, and of each in a file that is
     `changed`."""
-    before = {(finding.file, finding.key) for finding in _findings(main, tools)}
-    for finding in _findings(after, tools):
+    tried: Tried = {}
+    before = {(finding.file, finding.key) for finding in _findings(main, tools, tried)}
+    for finding in _findings(after, tools, tried):
         path = finding.file.removeprefix("/")
         if path in changed or (finding.file, finding.key) not in before:
             yield path, f"{finding.key}: {finding.text}"
 
 
-def _findings(files: Mapping[str, str], tools: Tools) -> Sequence[SourceProblem]:
-    """Mistakes in the catalogue as if it were sources."""
+def _findings(files: Mapping[str, str], tools: Tools, tried: Tried) -> Sequence[SourceProblem]:
+    """Mistakes in the catalogue as if it were sources; applications that were `tried` are not tried again."""
     folders = tuple(f"{folder}/" for folder in READ_FOLDERS)
     sources = {p: _source(t, p) for p, t in files.items() if p.startswith(folders) and p.endswith(".yaml")}
-    return validate_sources(CatalogueSources("", sources), tools)
+    return validate_sources(CatalogueSources("", sources), tools, tried)
 
 
 def _source(text: str, path: str) -> str:
