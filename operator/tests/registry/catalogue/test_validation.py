@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import shutil
 import time
+from collections import Counter
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,7 +18,7 @@ from robotkube.registry.catalogue.adapters.skeletons import new_application
 from robotkube.registry.catalogue.adapters.source_folders import read_sources
 from robotkube.registry.catalogue.core.guarantees import UNITS
 from robotkube.registry.catalogue.core.sources import SourceProblem, Tools
-from robotkube.registry.catalogue.core.validation import validate_sources
+from robotkube.registry.catalogue.core.validation import Tried, validate_sources
 from tests.stages.paths import REPOSITORY
 from tests.stages.registry.link_mistakes import LINKS, PERCEPTION
 from tests.stages.registry.registry_mistakes import (
@@ -92,6 +95,34 @@ def test_what_registry_new_writes_has_no_mistakes(few: Path) -> None:
 @pytest.mark.parametrize("charts", [False, True])
 def test_the_copy_has_no_mistakes_before_one_is_made(few: Path, charts: bool) -> None:
     assert findings(few, charts) == []
+
+
+def test_without_folders_of_charts_templates_are_tried_again_when_their_application_changed(few: Path) -> None:
+    file, release = f"applications/{FEW[1]}.yaml", "object-detection-{{ parameters.sensor }}"
+    other = "recorder-{{ parameters.vehicles | join('-') }}"
+    sources = read_sources(few / "registry", None)
+    templates, rendered = Jinja2Templates(), Counter[str]()
+
+    def render(template: Any, names: Any) -> Any:
+        rendered[str(template)] += 1
+        return templates.render(template, names)
+
+    counting, tried = replace(TOOLS, render=render), Tried()
+    assert validate_sources(sources, counting, tried) == []
+    first = rendered.copy()
+    assert first[release] > 0
+    assert first[other] > 0
+    wrong = sources.files[file].replace(release, "{{ parameters.no }}")
+    changed = replace(sources, files={**sources.files, file: wrong})
+    named = validate_sources(changed, counting, tried)
+    assert named == validate_sources(changed, TOOLS)
+    assert any("no" in str(finding) for finding in named)
+    assert rendered["{{ parameters.no }}"] > 0
+    assert (rendered[release], rendered[other]) == (first[release], first[other]), "the others were tried again"
+    assert (validate_sources(changed, counting, tried), validate_sources(sources, counting, tried)) == (named, [])
+    assert (rendered[release], rendered[other]) == (first[release], first[other])
+    assert validate_sources(read_sources(few / "registry", few / "charts"), counting, tried) == []
+    assert rendered[release] > first[release], "charts beside the registry say more of templates"
 
 
 def alone(folder: Path, wrong: str) -> None:
