@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from contextlib import suppress
 from functools import lru_cache
 from re import _constants as kinds  # type: ignore[attr-defined]
 from re import _parser as parser  # type: ignore[attr-defined]
@@ -41,8 +40,10 @@ def _fitting(pattern: str) -> Sequence[str]:
     parts = parser.parse(pattern)
     texts = []
     for variant in range(VARIANTS):
-        with suppress(_NoTextError):
+        try:
             texts.append(_Text(variant).of(parts))
+        except _NoTextError:
+            continue
     return tuple(texts)
 
 
