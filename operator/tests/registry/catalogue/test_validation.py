@@ -98,16 +98,19 @@ def test_the_copy_has_no_mistakes_before_one_is_made(few: Path, charts: bool) ->
 
 
 def test_without_folders_of_charts_templates_are_tried_again_when_their_application_changed(few: Path) -> None:
-    file, release = f"applications/{FEW[1]}.yaml", "object-detection-{{ parameters.sensor }}"
+    file = f"applications/{FEW[1]}.yaml"
+    release = "object-detection-{{ parameters.sensor }}"
     other = "recorder-{{ parameters.vehicles | join('-') }}"
     sources = read_sources(few / "registry", None)
-    templates, rendered = Jinja2Templates(), Counter[str]()
+    templates = Jinja2Templates()
+    rendered = Counter[str]()
 
     def render(template: Any, names: Any) -> Any:
         rendered[str(template)] += 1
         return templates.render(template, names)
 
-    counting, tried = replace(TOOLS, render=render), Tried()
+    counting = replace(TOOLS, render=render)
+    tried = Tried()
     assert validate_sources(sources, counting, tried) == []
     first = rendered.copy()
     assert first[release] > 0
