@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from unittest.mock import MagicMock
 from urllib.parse import urlsplit
 
 import httpx
@@ -204,9 +203,41 @@ def test_the_processes_read_what_the_chart_writes(encrypted: Any, tmp_path: Path
     assert console.authorities[0] == tmp_path / "console" / "authorities" / "ca.crt"
 
 
-def server_of(process: str, configuration: Any, folder: Path) -> WebServer:
-    """The server of a process, which asks nobody else."""
-    parts = MagicMock()
+class UnaskedParts:
+    """The parts of any process whose methods its server names; whether it lives is answered without calling one."""
+
+    def __init__(self) -> None:
+        self.calls: list[str] = []
+        self.records = self.statistics = self
+
+    def reasons_not_ready(self) -> list[str]:
+        return self._called("reasons_not_ready")
+
+    def metrics(self) -> list[str]:
+        return self._called("metrics")
+
+    def put(self, *_: Any) -> list[str]:
+        return self._called("put")
+
+    def as_json(self) -> list[str]:
+        return self._called("as_json")
+
+    def catalogue_page(self) -> list[str]:
+        return self._called("catalogue_page")
+
+    def updates_page(self) -> list[str]:
+        return self._called("updates_page")
+
+    def what_if(self, *_: Any) -> list[str]:
+        return self._called("what_if")
+
+    def _called(self, name: str) -> list[str]:
+        self.calls.append(name)
+        return []
+
+
+def server_of(process: str, configuration: Any, folder: Path, parts: Any) -> WebServer:
+    """The server of a process on such parts."""
     if process == "gate":
         return gate.build_server(configuration, parts, parts, parts)
     if process == "manager":
@@ -225,7 +256,8 @@ def test_each_process_serves_with_what_the_chart_mounts(helm: Any, tmp_path: Pat
     certified(tmp_path / "secrets" / "certificate", authority, "localhost")
     settings: Any = read_settings(path, SERVING[process])
     listen = replace(settings.listen, address="127.0.0.1", port=0, health_port=0)
-    server = server_of(process, replace(settings, listen=listen), tmp_path)
+    parts = UnaskedParts()
+    server = server_of(process, replace(settings, listen=listen), tmp_path, parts)
     server.start()
     believing = ssl.create_default_context(cadata=authority.certificate)
     try:
@@ -233,6 +265,7 @@ def test_each_process_serves_with_what_the_chart_mounts(helm: Any, tmp_path: Pat
         assert http_calls.get(f"http://localhost:{server.ports['health_port']}/livez").status_code == 200
     finally:
         server.stop()
+    assert not parts.calls
 
 
 def test_the_forge_of_http_and_one_of_somebody_else_leave_them_by_https(helm: Any) -> None:

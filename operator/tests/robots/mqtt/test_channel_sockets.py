@@ -8,13 +8,13 @@ import socket
 import threading
 from collections.abc import Iterator
 from typing import Any
-from unittest.mock import Mock
 
 import pytest
 
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel
 from robotkube.robots.mqtt.adapters.tcp_sockets import SocketBound
+from tests.stages.channel_events import KeptEvents
 from tests.stages.waiting import until
 
 SECONDS_MAX = 10.0
@@ -63,7 +63,7 @@ def everything(connection: socket.socket) -> bytes:
 
 
 def channel_to(account: Any) -> PahoChannel:
-    return PahoChannel(account, "a-telemetry", 60, Mock())
+    return PahoChannel(account, "a-telemetry", 60, KeptEvents())
 
 
 def connected(server: Server) -> tuple[PahoChannel, socket.socket]:

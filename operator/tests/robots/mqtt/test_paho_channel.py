@@ -16,6 +16,7 @@ from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel
 from robotkube.robots.mqtt.adapters.paho_client import MqttClient
 from robotkube.robots.mqtt.core.packets import read_number, write_number
+from tests.stages.channel_events import KeptEvents
 
 pytestmark = pytest.mark.processes
 
@@ -33,44 +34,11 @@ def _closed_channels() -> Iterator[None]:
         OPEN.pop().close()
 
 
-class Events:
-    """Notes the events of a channel."""
-
-    def __init__(self) -> None:
-        self.messages: list[tuple[str, bytes]] = []
-        self.acknowledgements: dict[int, bool] = {}
-        self.sessions: list[bool] = []
-        self.losses = 0
-        self.refusals: list[str] = []
-        self.properties: list[bytes] = []
-
-    def connected(self, session_kept: bool) -> None:
-        self.sessions.append(session_kept)
-
-    def disconnected(self) -> None:
-        self.losses += 1
-
-    def acknowledged(self, token: int, heard: bool) -> None:
-        self.acknowledgements[token] = heard
-
-    def refused(self, topic: str, reason: str) -> None:
-        self.refusals.append(reason)
-
-    def granted(self, topic: str) -> None: ...
-
-    def rejected(self, token: int, reason: str) -> None:
-        self.refusals.append(reason)
-
-    def received(self, topic: str, payload: bytes, properties: bytes) -> None:
-        self.messages.append((topic, payload))
-        self.properties.append(properties)
-
-
 class Peer:
     """A connection and its events."""
 
     def __init__(self, broker: pods.Broker, account: str, password: str | None = None) -> None:
-        self.events = Events()
+        self.events = KeptEvents()
         credentials = BrokerAccount("127.0.0.1", broker.port, account, password or pods.password(account))
         self.channel = PahoChannel(lambda: credentials, f"{account}-telemetry", 60, self.events)
         OPEN.append(self.channel)
@@ -212,7 +180,7 @@ def test_the_reason_of_a_broker_that_disconnects_is_quoted() -> None:
 
 def test_an_absent_broker_is_a_complaint() -> None:
     account = BrokerAccount("127.0.0.1", 9, "a", "b")
-    events = Events()
+    events = KeptEvents()
     channel = PahoChannel(lambda: account, "a-telemetry", 60, events)
     OPEN.append(channel)
     deadline = time.monotonic() + WAIT_SECONDS

@@ -6,7 +6,6 @@ import random
 import time
 from collections.abc import Iterator
 from statistics import fmean
-from typing import TYPE_CHECKING, cast
 
 import pytest
 
@@ -14,9 +13,7 @@ from robotkube.backoffs import Random, backoff
 from robotkube.errors import InputError
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.adapters.paho_channel import BACKOFF_SECONDS_MAX, BACKOFF_SECONDS_MIN, PahoChannel
-
-if TYPE_CHECKING:
-    from robotkube.robots.mqtt.ports import ChannelEvents
+from tests.stages.channel_events import KeptEvents
 
 FIXED_SECONDS_MAX = 5.0
 """The longest of the fixed pauses that jitter replaced: they doubled from BACKOFF_SECONDS_MIN, the same for all."""
@@ -32,7 +29,7 @@ def no_account() -> BrokerAccount:
 
 def pauses(jitter: Random, count: int) -> Iterator[float]:
     """The pauses of a channel whose attempts all fail, on a clock that goes on by milliseconds."""
-    channel = PahoChannel(no_account, "vehicle-00-telemetry", 60, cast("ChannelEvents", None), jitter)
+    channel = PahoChannel(no_account, "vehicle-00-telemetry", 60, KeptEvents(), jitter)
     milliseconds = begin = 0
     for _ in range(count + 1):
         while channel._attempt is None:

@@ -6,7 +6,8 @@ import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
-from unittest import mock
+
+import pytest
 
 
 @contextmanager
@@ -14,8 +15,9 @@ def resolved(name: str, address: str) -> Iterator[None]:
     """Connections to `name` go to `address` meanwhile."""
     lookup = socket.getaddrinfo
 
-    def found(host: Any, *more: Any, **options: Any) -> Any:
+    def look_up(host: Any, *more: Any, **options: Any) -> Any:
         return lookup(address if host in (name, name.encode()) else host, *more, **options)
 
-    with mock.patch("socket.getaddrinfo", found):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(socket, "getaddrinfo", look_up)
         yield
