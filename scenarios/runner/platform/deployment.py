@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 import tempfile
 from collections.abc import Iterator, Mapping
 from types import TracebackType
@@ -20,13 +19,13 @@ import yaml
 
 from robotkube.foundation.certificates.adapters.certificate_authorities import certificate_authorities, what_failed
 from robotkube.foundation.forge.adapters.git.connection import ORIGIN, GitConnection, fetch
+from robotkube.foundation.forge.core.trailers import read_trailers
 from robotkube.foundation.runtime.adapters.kept_connections import KeptConnections
 from scenarios.runner.inputs import NANOSECONDS, Commit, MainState, PullRequest
 from scenarios.runner.platform.access import Endpoint
 from scenarios.runner.waiting import RunError
 
 REPOSITORY, CATALOGUE, BRANCH = "robotkube/deployment", "robotkube/catalogue", "main"
-TRAILER = re.compile(r"^RobotKube-([A-Za-z]+): (.*)$", re.MULTILINE)
 ANSWER_SECONDS_MAX = 15.0
 PULL_REQUESTS_PER_PAGE = 50
 PAGES_MAX = 20
@@ -213,16 +212,13 @@ class Deployment:
         return builder.write()
 
     def _commit(self, commit: pygit2.Commit) -> Commit:
-        trailers: dict[str, tuple[str, ...]] = {}
-        for name, value in TRAILER.findall(commit.message):
-            trailers[name] = (*trailers.get(name, ()), value.strip())
         return Commit(
             sha=str(commit.id),
             parents=tuple(str(parent) for parent in commit.parent_ids),
             author=commit.author.name,
             subject=commit.message.partition("\n")[0],
             time=commit.commit_time * NANOSECONDS,
-            trailers=trailers,
+            trailers=read_trailers(commit.message),
             paths=tuple(self._paths(commit)),
         )
 

@@ -32,10 +32,10 @@ from robotkube.delivery.gate.core.proposal_checks import (
 )
 from robotkube.errors import DocumentError
 from robotkube.foundation.forge.core.histories import HistoryCommit
+from robotkube.foundation.forge.core.trailers import claims
 
 T = TypeVar("T")
 
-PLAN_TRAILER = "\nRobotKube-Plan: "
 CLOCK_SECONDS_MAX = 300  # by which clocks of those who make commits may differ
 PATHS_NAMED_MAX = 5
 
@@ -194,7 +194,7 @@ def _message(
     try:
         message = read_message(commit.message)
     except DocumentError as error:
-        if PLAN_TRAILER in commit.message:
+        if claims(commit.message, "Plan"):
             about = tuple(_keys(touched))
             return None, [_finding("plan-not-readable", commit, "; ".join(error.problems[:PATHS_NAMED_MAX]), *about)]
         if not touched or not commit.parents or let_through:

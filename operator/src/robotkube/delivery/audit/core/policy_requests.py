@@ -3,19 +3,17 @@ that commit."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 from robotkube.delivery.audit.core.merge_checks import Merges
 from robotkube.delivery.audit.core.policy_entries import PolicyEntry, asking, initial_entries, offered_entries
 from robotkube.delivery.audit.core.report import Row, seconds_text
 from robotkube.delivery.deployment.core.releases import Release
 from robotkube.foundation.forge.core.histories import HistoryCommit
-from robotkube.foundation.forge.core.reviews import APPROVED_BY, PULL_REQUEST
+from robotkube.foundation.forge.core.trailers import APPROVED_BY, PULL_REQUEST, read_trailers
 from robotkube.registry.catalogue.core.catalogue import Catalogue
 
 PUBLICATION = "publish: "
-_TRAILER = re.compile(rf"^({PULL_REQUEST}|{APPROVED_BY}): (\S+)$", re.MULTILINE)
 
 
 class PolicyRequests:
@@ -79,14 +77,13 @@ class PolicyRequests:
 def proposed(commit: HistoryCommit) -> Row:
     """Who changed the catalogue, by the words of the commit, which nobody signed. Who submitted what an older gate
     published is not known."""
-    trailers: Mapping[str, list[str]] = {PULL_REQUEST: [], APPROVED_BY: []}
-    for key, word in _TRAILER.findall(commit.message):
-        trailers[key].append(word)
-    older = commit.message.startswith(PUBLICATION) and not trailers[PULL_REQUEST]
+    trailers = read_trailers(commit.message)
+    numbers = trailers.get(PULL_REQUEST, ())
+    older = commit.message.startswith(PUBLICATION) and not numbers
     return {
         "time": seconds_text(commit.committed),
         "author": "" if older else commit.author,
-        "approved_by": trailers[APPROVED_BY],
-        "pull_request": "".join(trailers[PULL_REQUEST][:1]),
+        "approved_by": list(trailers.get(APPROVED_BY, ())),
+        "pull_request": "".join(numbers[:1]),
         "key": None,
     }

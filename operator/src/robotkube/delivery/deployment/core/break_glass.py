@@ -31,6 +31,7 @@ from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.patterns import COMMIT, REPOSITORY, WORD
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.documents.core.yaml_codec import read_mapping, write_mapping
+from robotkube.foundation.forge.core.trailers import EMERGENCY, SIGNED_BY, trailer
 
 SIGNERS_PATH = "policies/signers"
 ACCEPTED_PATH = "policies/accepted-commits"
@@ -41,7 +42,6 @@ PEOPLE_MIN, SIGNATURES_MAX = 2, 10
 KEY_TYPE = "ssh-ed25519"
 KEY_BYTES, SIGNATURE_BYTES = 32, 64
 
-_GLASS, _SIGNED = "RobotKube-Break-Glass: ", "RobotKube-Signed-By: "
 _MAGIC = b"SSHSIG"
 _VERSION = 1
 _DIGEST = b"sha512"
@@ -70,8 +70,8 @@ class EmergencyChange:
     @property
     def message(self) -> str:
         """The message of its commit."""
-        signed = [f"{_SIGNED}{name} {signature}" for name, signature in sorted(self.signatures.items())]
-        return "\n".join([self.reason, "", f"{_GLASS}{self.time}", *signed, ""])
+        signed = [trailer(SIGNED_BY, f"{name} {signature}") for name, signature in sorted(self.signatures.items())]
+        return "\n".join([self.reason, "", trailer(EMERGENCY, self.time), *signed, ""])
 
     def signed_by(self, name: str, signature: str) -> EmergencyChange:
         """The change with one more signature."""

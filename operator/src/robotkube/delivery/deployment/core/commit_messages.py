@@ -28,6 +28,7 @@ from dataclasses import dataclass, replace
 from robotkube.delivery.deployment.core.releases import TaskCause
 from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.patterns import COMMIT, DIGEST, EVIDENCE, NAME, PLAN, TASK, TOKEN, VERSION
+from robotkube.foundation.forge.core.trailers import named, read_trailer, trailer
 from robotkube.registry.charts.core.references import ChartReference
 
 SUBJECT_CHARACTERS_MAX = 100
@@ -47,7 +48,6 @@ TERM = re.compile(r"0|[1-9][0-9]{0,9}", re.ASCII)
 
 _SUBJECT = re.compile(rf"(?P<verb>{'|'.join(VERBS)})\((?P<area>{NAME.pattern})\): (?P<reason>\S.*)")
 _REASON = "Reason: "
-_TRAILER = re.compile(r"(RobotKube-[A-Z][a-z]+): (\S+)")
 _KEYS = ("Task", "Event", "Rule", "Trace", "Cause", "Reverts", "Plan", "Manager", "Term", "Chart", "Evidence")
 
 
@@ -111,7 +111,7 @@ def write_message(message: CommitMessage) -> str:
     lines += [("Plan", message.plan), ("Manager", message.manager), ("Term", str(message.term))]
     for chart, evidence in zip(message.charts, message.evidence, strict=True):
         lines += [("Chart", str(chart)), ("Evidence", evidence)]
-    trailers = [f"RobotKube-{key}: {value}" for key, value in lines]
+    trailers = [trailer(key, word) for key, word in lines]
     return "\n".join([message.subject, "", *_whole_reason(message), *trailers]) + "\n"
 
 
@@ -165,12 +165,11 @@ def _trailers(rest: str, problems: list[str]) -> dict[str, list[str]]:
     if lines and lines[0]:
         problems.append("the line after the subject must be empty")
     for line in lines[1:]:
-        match = _TRAILER.fullmatch(line)
-        key = match[1].removeprefix("RobotKube-") if match else ""
-        if match and key in trailers:
-            trailers[key].append(match[2])
+        key, word = read_trailer(line) or ("", "")
+        if key in trailers:
+            trailers[key].append(word)
         else:
-            problems.append(f"line {line!r} is not one of the trailers {', '.join('RobotKube-' + k for k in _KEYS)}")
+            problems.append(f"line {line!r} is not one of the trailers {', '.join(map(named, _KEYS))}")
     return trailers
 
 

@@ -23,9 +23,11 @@ from robotkube.delivery.deployment.core.break_glass import (
 )
 from robotkube.delivery.deployment.core.merge_records import MergeRecord
 from robotkube.errors import DocumentError
+from robotkube.foundation.forge.core.trailers import EMERGENCY, SIGNED_BY, named, trailer
 
 BREAK_GLASS, NOT_SIGNED, NO_RECORD = WAYS = ("break-glass", "not-signed", "no-record")
-TRAILER, SIGNED_BY = "RobotKube-Break-Glass:", "RobotKube-Signed-By: "
+_EMERGENCY = f"{named(EMERGENCY)}:"
+_SIGNED_BY = trailer(SIGNED_BY, "")
 NOTHING_SIGNED = (
     "no commit of main has a valid record of the gate: it never signed one (an older gate), or all were taken away"
 )
@@ -65,15 +67,15 @@ class GlassClaim:
 
 def says_break_glass(message: str) -> bool:
     """Return whether a commit's message says that it is break-glass, well-formed or not."""
-    return any(line.startswith(TRAILER) for line in message.split("\n"))
+    return any(line.startswith(_EMERGENCY) for line in message.split("\n"))
 
 
 def judge_claim(claim: GlassClaim, signers: str, holds: Holds) -> UncheckedCommit:
     """What the commit is: BREAK_GLASS when people registered in `signers` (the text of policies/signers before it) have
     signed it, as the forge's hook asks for; NOT_SIGNED with the problem otherwise."""
     lines = claim.message.split("\n")
-    time = next((line.removeprefix(TRAILER).strip() for line in lines if line.startswith(TRAILER)), "")
-    names = tuple(line.removeprefix(SIGNED_BY).partition(" ")[0] for line in lines if line.startswith(SIGNED_BY))
+    time = next((line.removeprefix(_EMERGENCY).strip() for line in lines if line.startswith(_EMERGENCY)), "")
+    names = tuple(line.removeprefix(_SIGNED_BY).partition(" ")[0] for line in lines if line.startswith(_SIGNED_BY))
     problem = _problem(claim, signers, holds)
     how = NOT_SIGNED if problem else BREAK_GLASS
     return UncheckedCommit(claim.commit, how, lines[0], time, names, problem)
@@ -82,7 +84,7 @@ def judge_claim(claim: GlassClaim, signers: str, holds: Holds) -> UncheckedCommi
 def _problem(claim: GlassClaim, signers: str, holds: Holds) -> str:
     """The first reason why the hook would not take it; empty when it would have, within minutes of its time."""
     lines = claim.message.split("\n")
-    formed = len(lines) > 3 and bool(lines[0]) and not lines[1] and not lines[-1] and lines[2].startswith(TRAILER)
+    formed = len(lines) > 3 and bool(lines[0]) and not lines[1] and not lines[-1] and lines[2].startswith(_EMERGENCY)
     signatures = _signatures(lines[3:-1])
     if not formed or signatures is None:
         return "its message is not as `robotkube break-glass sign` writes it"
@@ -99,7 +101,7 @@ def _problem(claim: GlassClaim, signers: str, holds: Holds) -> str:
 
 def _signatures(trailers: Sequence[str]) -> Sequence[tuple[str, str]] | None:
     """Names with signatures; None when one of the lines is no signature, or when there are too many."""
-    words = [line.removeprefix(SIGNED_BY).split(" ") for line in trailers if line.startswith(SIGNED_BY)]
+    words = [line.removeprefix(_SIGNED_BY).split(" ") for line in trailers if line.startswith(_SIGNED_BY)]
     whole = len(words) == len(trailers) <= SIGNATURES_MAX and all(len(word) == 2 and all(word) for word in words)
     return [(name, signature) for name, signature in words] if whole else None
 
@@ -111,7 +113,7 @@ def _unsigned(
     holds: Holds,
 ) -> str:
     lines = claim.message.split("\n")
-    time = lines[2].removeprefix(f"{TRAILER} ")
+    time = lines[2].removeprefix(f"{_EMERGENCY} ")
     change = EmergencyChange(claim.repository.lower(), claim.parents[0], claim.tree, time, lines[0], {})
     for name, signature in signatures:
         if name not in registered:

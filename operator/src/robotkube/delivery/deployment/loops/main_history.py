@@ -8,6 +8,7 @@ from robotkube.delivery.deployment.core.commit_messages import read_message
 from robotkube.delivery.deployment.core.releases import RELEASES, SOURCES
 from robotkube.delivery.deployment.core.repairs import HISTORY_COMMITS_MAX
 from robotkube.errors import DocumentError
+from robotkube.foundation.forge.core.trailers import claims
 from robotkube.foundation.forge.ports.repositories import MainHistory
 
 POLICIES = "policies"
@@ -71,7 +72,7 @@ class Terms:
 
 def term_of(text: str) -> tuple[str, int] | None:
     """The manager and the term in a plan's commit message; None when it is no plan's."""
-    if "\nRobotKube-Term: " not in text:
+    if not claims(text, "Term"):
         return None
     try:
         message = read_message(text)

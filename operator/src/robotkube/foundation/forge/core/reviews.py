@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-PULL_REQUEST, APPROVED_BY = "RobotKube-Pull-Request", "RobotKube-Approved-By"  # trailers of what the gate merges
-
 
 @dataclass(frozen=True)
 class Review:

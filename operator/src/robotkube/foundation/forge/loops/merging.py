@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from robotkube.foundation.forge.core.reviews import APPROVED_BY, PULL_REQUEST
+from robotkube.foundation.forge.core.trailers import APPROVED_BY, PULL_REQUEST, trailer
 from robotkube.foundation.forge.ports.pull_requests import PullRequest
 from robotkube.foundation.forge.ports.repositories import Commit, Commits, MainBranch
 
@@ -35,5 +35,5 @@ def merge_message(number: int, message: str, approvers: Sequence[str]) -> str:
     """The first line of the approved commit's message with the pull request's number, and who approved it. Nothing else
     of the author's words: a trailer of theirs would be the gate's word here."""
     subject = " ".join(message.partition("\n")[0].split())[:SUBJECT_CHARACTERS_MAX] or "Merge a pull request"
-    trailers = [f"{PULL_REQUEST}: {number}", *(f"{APPROVED_BY}: {account}" for account in approvers)]
+    trailers = [trailer(PULL_REQUEST, number), *(trailer(APPROVED_BY, account) for account in approvers)]
     return "\n".join([f"{subject} (#{number})", "", *trailers, ""])

@@ -23,7 +23,7 @@ from robotkube.foundation.documents.core.json_codec import read_json
 from robotkube.foundation.documents.core.patterns import IMAGE_PARTS, NAME, SUITE_NAME
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.foundation.documents.core.yaml_codec import read_mapping, write_mapping
-from robotkube.foundation.forge.core.reviews import APPROVED_BY, PULL_REQUEST
+from robotkube.foundation.forge.core.trailers import APPROVED_BY, PULL_REQUEST, trailer
 from robotkube.registry.catalogue.core.catalogue import read_chart_version
 from robotkube.registry.catalogue.core.sources import CatalogueSources, SourceProblem, Tools
 from robotkube.registry.catalogue.core.validation import Tried, validate_sources
@@ -401,9 +401,9 @@ def publication_message(
     for chart in charts:
         entry = chart.submitted
         lines += [
-            f"RobotKube-Chart: {entry.chart}@{entry.version}@{entry.digest}",
-            f"RobotKube-Evidence: {chart.evidence}",
+            trailer("Chart", f"{entry.chart}@{entry.version}@{entry.digest}"),
+            trailer("Evidence", chart.evidence),
         ]
-    lines += [f"RobotKube-Policy: {policy}" for policy in sorted({chart.policy for chart in charts})]
-    lines += [f"{PULL_REQUEST}: {number}", *(f"{APPROVED_BY}: {account}" for account in approvers)]
+    lines += [trailer("Policy", policy) for policy in sorted({chart.policy for chart in charts})]
+    lines += [trailer(PULL_REQUEST, number), *(trailer(APPROVED_BY, account) for account in approvers)]
     return "\n".join(lines).rstrip() + "\n"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import re
 from collections.abc import Mapping, Sequence
 
 from robotkube.delivery.deployment.core.commit_messages import REVERT, UPDATE
@@ -13,12 +12,11 @@ from robotkube.delivery.manager.core.updates.memory import UpdateMemory
 from robotkube.delivery.manager.core.updates.verdicts import plan_ns
 from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.patterns import COMMIT, PLAN
+from robotkube.foundation.forge.core.trailers import read_trailers, trailer
 from robotkube.foundation.forge.ports.repositories import Commit, DeploymentRepository
 
 COMMITS_MAX = 10_000
-CAUSE_TRAILERS = (f"RobotKube-Cause: {UPDATE}\n", f"RobotKube-Cause: {REVERT}\n")
-PLAN_TRAILER = re.compile(rf"^RobotKube-Plan: ({PLAN.pattern})$", re.MULTILINE)
-REVERTS_TRAILER = re.compile(rf"^RobotKube-Reverts: ({COMMIT.pattern})$", re.MULTILINE)
+CAUSES = tuple(f"{trailer('Cause', kind)}\n" for kind in (UPDATE, REVERT))
 
 log = logging.getLogger(__name__)
 
@@ -34,7 +32,7 @@ class UpdateHistory:
     def read(self, tip: str) -> UpdateMemory:
         """The memory at main's tip, which was fetched."""
         if tip != self._tip:
-            for commit in self._repository.touching(self._tip or None, COMMITS_MAX, PATH, CAUSE_TRAILERS):
+            for commit in self._repository.touching(self._tip or None, COMMITS_MAX, PATH, CAUSES):
                 self._memory = self._after(commit)
             self._tip = tip
         return self._memory
@@ -43,14 +41,15 @@ class UpdateHistory:
         memory = self._memory.policy_changed() if PATH in commit.changes else self._memory
         changed = _releases(commit.changes)
         subject = commit.message.partition("\n")[0]
+        kinds = read_trailers(commit.message).get("Cause", ())
         undone = self._undone(memory, commit)
         if undone:
             for chart in undone:
                 keys = [release.key for release in changed if release.chart == chart]
                 memory = memory.reverted(chart, keys, f"{subject} ({commit.id[:12]}); change {PATH} to try it again")
-        elif CAUSE_TRAILERS[1] in commit.message and not REVERTS_TRAILER.search(commit.message):
+        elif REVERT in kinds and not _reverted(commit.message):
             memory = self._taken_back(memory, changed, f"{subject} ({commit.id[:12]}); change {PATH} to try it again")
-        elif CAUSE_TRAILERS[0] in commit.message:
+        elif UPDATE in kinds:
             before = self._before(commit, changed)
             for target in {(release.chart, release.version, release.digest) for release in changed}:
                 moved = [r for r in changed if (r.chart, r.version, r.digest) == target and r.key in before]
@@ -69,7 +68,7 @@ class UpdateHistory:
     @staticmethod
     def _undone(memory: UpdateMemory, commit: Commit) -> list[str]:
         """The charts whose last update the commit reverts; a revert of people's edits reverts none."""
-        named = set(REVERTS_TRAILER.findall(commit.message))
+        named = _reverted(commit.message)
         return [chart for chart, run in memory.runs.items() if named & set(run.commits)]
 
     def _before(self, commit: Commit, changed: Sequence[Release]) -> Mapping[str, tuple[str, str]]:
@@ -93,7 +92,12 @@ def _releases(files: Mapping[str, str | None]) -> list[Release]:
     return releases
 
 
+def _reverted(message: str) -> set[str]:
+    """The commits that a commit says it undoes."""
+    return {word for word in read_trailers(message).get("Reverts", ()) if COMMIT.fullmatch(word)}
+
+
 def commit_ns(message: str) -> int:
     """The time at which the plan of a commit was made, by its id (ns since 1970); 0 when the message names none."""
-    match = PLAN_TRAILER.search(message)
-    return plan_ns(match[1]) if match else 0
+    plans = (word for word in read_trailers(message).get("Plan", ()) if PLAN.fullmatch(word))
+    return next(map(plan_ns, plans), 0)
