@@ -9,18 +9,15 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from decimal import Decimal
 from pathlib import Path
 from typing import Any, Protocol
 
 from ci import yaml_files
 from ci.errors import InputError
+from robotkube.foundation.documents.core.quantities import CPU, MEMORY, quantity_of_form
 
 NODES_MAX = 100
 LABEL = re.compile(r"[a-z0-9]([-a-z0-9]{0,38}[a-z0-9])?")
-CPU = re.compile(r"(\d+(?:\.\d+)?)(m?)")
-MEMORY = re.compile(r"(\d+)(Ki|Mi|Gi)")
-MEMORY_UNITS = {"Ki": 2**10, "Mi": 2**20, "Gi": 2**30}
 MEMORY_MINIMUM_BYTES = 256 * 2**20
 PLAYERS = ("vehicle", "roadside")  # roles whose agents play a bag
 BAGS_SIZE = "2Gi"
@@ -196,15 +193,13 @@ class _Reader:
         return text
 
     def _cpu(self, key: str, value: Any) -> int:
-        match = CPU.fullmatch(str(value))
-        millicores = int(Decimal(match[1]) * (1 if match[2] else 1000)) if match else 0
+        millicores = int((quantity_of_form(value, CPU) or 0) * 1000)
         if millicores < 100:
             raise self.refuse(key, f'{value!r} must be cores ("1", "0.5") or millicores ("500m"), at least 100m')
         return millicores
 
     def _memory(self, key: str, value: Any) -> int:
-        match = MEMORY.fullmatch(str(value))
-        size = int(match[1]) * MEMORY_UNITS[match[2]] if match else 0
+        size = int(quantity_of_form(value, MEMORY) or 0)
         if size < MEMORY_MINIMUM_BYTES:
             raise self.refuse(key, f"{value!r} must be a size such as 2Gi or 512Mi, at least 256Mi")
         return size

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
 
+from robotkube.foundation.documents.core.quantities import quantity
 from tests.stages.paths import CHARTS
 from tests.stages.settings_mounted import CERTIFICATE, GATE, KEY_SECRETS, pod_of
 
@@ -160,14 +162,17 @@ def test_every_process_has_probes(platform: Any) -> None:
                 assert {"startupProbe", "readinessProbe", "livenessProbe"} <= set(container), name
 
 
-def cores(quantity: str) -> float:
-    return float(quantity[:-1]) / 1000 if quantity.endswith("m") else float(quantity)
+def cores(container: Mapping[str, Any]) -> Decimal:
+    """The cores that a container asks for."""
+    asked = quantity(container["resources"]["requests"]["cpu"])
+    assert asked is not None, container["name"]
+    return asked
 
 
 def test_the_platform_fits_on_two_cores(embedded: Any, argocd: list[Object]) -> None:
     pods = [pod for name, pod in embedded.pods if not name.startswith("Job/")]
     pods += [o["spec"]["template"]["spec"] for o in argocd if o["kind"] in {"Deployment", "StatefulSet"}]
-    requested = sum(cores(container["resources"]["requests"]["cpu"]) for pod in pods for container in pod["containers"])
+    requested = sum(cores(container) for pod in pods for container in pod["containers"])
     assert requested < PLATFORM_CPU_MAX
 
 
@@ -313,7 +318,7 @@ def test_application_pods_wait_for_nothing(apps: Mapping[str, Any], chart: str) 
     assert pod["automountServiceAccountToken"] is False
     assert pod["serviceAccountName"] == ("application" if chart.startswith("object-") else chart)
     assert pod["terminationGracePeriodSeconds"] == {"event-detector": 10}.get(chart, 3)
-    assert cores(pod["containers"][0]["resources"]["requests"]["cpu"]) <= 0.05
+    assert cores(pod["containers"][0]) <= Decimal("0.05")
     assert all("initialDelaySeconds" not in probe for key, probe in pod["containers"][0].items() if "Probe" in key)
 
 

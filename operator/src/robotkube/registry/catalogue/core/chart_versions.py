@@ -3,7 +3,6 @@ and the images that a release of one may run: those that were verified with it, 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -19,6 +18,7 @@ from robotkube.foundation.documents.core.patterns import (
     NAME,
     VERSION,
 )
+from robotkube.foundation.documents.core.quantities import CPU, MEMORY
 from robotkube.foundation.documents.core.reader import Reader
 from robotkube.registry.catalogue.core.entries import read_description, read_head
 from robotkube.registry.catalogue.core.guarantees import Guarantee, read_guarantees
@@ -35,10 +35,7 @@ SETTINGS = (WATCHED, RESTART)
 """How a chart's process takes changed settings: it follows its ConfigMap, or its pod is replaced."""
 NO_EVIDENCE = "its evidence was not assessed"
 
-_QUANTITY = {
-    "cpu": re.compile(r"[0-9]{1,6}(\.[0-9]{1,3})?|[0-9]{1,9}m", re.ASCII),
-    "memory": re.compile(r"[0-9]{1,9}(Ki|Mi|Gi)", re.ASCII),
-}
+_RESOURCES = {"cpu": CPU, "memory": MEMORY}
 _OPTIONAL = (
     "settings", "provides", "replaces", "skips", "resources", "guarantees", "interfaces", "suites", "success",
 )  # fmt: skip
@@ -170,8 +167,8 @@ def _spec(reader: Reader, spec: Mapping[str, Any]) -> dict[str, Any]:
 def _resources(reader: Reader, value: Any) -> Mapping[str, str]:
     if value is None:
         return {}
-    resources = reader.mapping(value, "spec.resources", list(_QUANTITY))
-    return {key: reader.word(resources.get(key), f"spec.resources.{key}", _QUANTITY[key]) for key in _QUANTITY}
+    resources = reader.mapping(value, "spec.resources", list(_RESOURCES))
+    return {key: reader.word(resources.get(key), f"spec.resources.{key}", form) for key, form in _RESOURCES.items()}
 
 
 def _suite_images(reader: Reader, images: tuple[str, ...], suites: Mapping[str, Any]) -> None:
