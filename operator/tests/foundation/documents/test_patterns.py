@@ -42,14 +42,11 @@ NO_IDENTIFIERS = {
     ("registry/charts/core/challenges.py", "_SCHEME"): "a word of an HTTP header",
     ("registry/charts/core/challenges.py", "_PARAMETER"): "a parameter of an HTTP header",
     ("registry/suites/core/bill_comparison.py", "ESCAPED"): "bytes of a package's address that are escaped",
-    (
-        "registry/bundles/core/contents.py",
-        "_VERSION",
-    ): "what may be a part of a file's name, in an archive of strangers",
     ("registry/bundles/core/archives.py", "_NAME"): "a file's name, with the first letters of a digest",
     ("delivery/console/settings.py", "GROUP"): "a group as providers of sign-in name theirs",
     ("delivery/console/core/links.py", "_SERIES"): "a line of a bridge's metrics",
     ("delivery/console/adapters/web/guarding.py", "HOST_HEADER"): "an HTTP header",
+    ("delivery/console/adapters/web/application.py", "FILE_NAME"): "what may not be in the name of a file",
 }
 SCHEMAS_ALONE = {
     r"\{\{": "a value template",

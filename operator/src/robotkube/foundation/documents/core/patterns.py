@@ -36,6 +36,8 @@ NEW_CHART_NAME = re.compile(r"[a-z]([a-z0-9]|-(?=[a-z0-9])){0,28}[a-z0-9]", re.A
 NEW_SERVICE_NAME = re.compile(r"[a-z]([a-z0-9]|-(?=[a-z0-9]))*", re.ASCII)  # behind the name of its application
 VERSION = re.compile(rf"{_NUMBER}\.{_NUMBER}\.{_NUMBER}{_PRE_RELEASE}", re.ASCII)
 CHART_VERSION = re.compile(rf"{VERSION.pattern}(\+[0-9A-Za-z.-]{{1,64}})?", re.ASCII)  # of a chart's own file
+BUNDLE_VERSION = re.compile(r"[0-9][0-9A-Za-z._+-]{0,99}", re.ASCII)  # the platform's, part of names of archives
+BUNDLED_VERSION = re.compile(r"[0-9A-Za-z][0-9A-Za-z._+-]{0,99}", re.ASCII)  # of a thing in a bundle, such as v3.1.0
 CAPABILITY = re.compile(r"[a-z0-9-]+(/[a-z0-9-]+)*", re.ASCII)
 VALUES_PATH = re.compile(r"[A-Za-z0-9_-]{1,63}(\.[A-Za-z0-9_-]{1,63}){0,15}", re.ASCII)
 VARIABLE = re.compile(r"[a-z][a-z0-9_]*", re.ASCII)  # of forEach in a value template

@@ -6,10 +6,11 @@ import hashlib
 import re
 from collections.abc import Iterable
 
+from robotkube.foundation.documents.core.patterns import BUNDLE_VERSION
 from robotkube.registry.bundles.core.contents import BundleContents
 
 MARK_CHARACTERS = 12
-_NAME = re.compile(rf"robotkube-[0-9][0-9A-Za-z._+-]*-[0-9a-f]{{{MARK_CHARACTERS}}}\.tar(?:\.part)?", re.ASCII)
+_NAME = re.compile(rf"robotkube-{BUNDLE_VERSION.pattern}-[0-9a-f]{{{MARK_CHARACTERS}}}\.tar(?:\.part)?", re.ASCII)
 
 
 def mark(references: Iterable[str]) -> str:

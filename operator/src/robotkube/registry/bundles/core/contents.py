@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -11,7 +10,7 @@ from typing import Any
 from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.digests import canonical_json
 from robotkube.foundation.documents.core.json_codec import read_json
-from robotkube.foundation.documents.core.patterns import DIGEST, NAME, REGISTRY_PATH
+from robotkube.foundation.documents.core.patterns import BUNDLE_VERSION, BUNDLED_VERSION, DIGEST, NAME, REGISTRY_PATH
 from robotkube.registry.charts.core.packing import build_tag
 
 FORMAT = 1
@@ -21,8 +20,6 @@ CONTENTS_BYTES_MAX = 4 << 20
 IMAGE, CHART, MANIFESTS, CONTENTS = "image", "chart", "manifests", "contents"
 KINDS = (IMAGE, CHART, MANIFESTS)
 PLATFORM_CHART = "robotkube"
-
-_VERSION = re.compile(r"[0-9A-Za-z][0-9A-Za-z._+-]{0,99}", re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -112,12 +109,12 @@ def read_contents(data: bytes, where: str) -> BundleContents:
 
 def _problems(contents: BundleContents) -> Iterator[str]:
     """What would make other files, references or commands of a list than those of the things in it."""
-    if not _VERSION.fullmatch(contents.version):
-        yield f"version: {contents.version[:100]!r} is none"
+    if not BUNDLE_VERSION.fullmatch(contents.version):
+        yield f"version: {contents.version[:100]!r} is none: a digit, then letters, digits and ._+-, at most 100"
     if not REGISTRY_PATH.fullmatch(contents.prefix):
         yield f"prefix: {contents.prefix[:100]!r} is not of the form HOST/PATH"
     for item in contents.items:
-        if not (NAME.fullmatch(item.name) and _VERSION.fullmatch(item.version)):
+        if not (NAME.fullmatch(item.name) and BUNDLED_VERSION.fullmatch(item.version)):
             yield f"items: {item.kind} {item.name[:100]!r} {item.version[:100]!r}: no name with a version"
     named = Counter((one.kind, one.name, "" if one.kind == IMAGE else one.version) for one in contents.items)
     yield from (f"items: {kind} {name} stands {count} times" for (kind, name, _), count in named.items() if count > 1)
