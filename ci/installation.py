@@ -198,7 +198,7 @@ class Installer:
         options = ["-n", NAMESPACE, *(word for file in files for word in ("-f", str(file)))]
         install = ("upgrade", "--install", NAMESPACE, str(chart), *options)
         namespaces = (NAMESPACE, GATE, ARGOCD)
-        with self.following(namespaces, say) as followed:
+        with self.watching(namespaces, say) as followed:
             try:
                 self._install(install, namespaces)
             except SetUpError as error:
@@ -212,7 +212,7 @@ class Installer:
         known = merged(platform_values(references, topology), self._of_given_argocd())
         return merged(known, self.profile.values)
 
-    def following(
+    def watching(
         self, namespaces: Sequence[str], say: Callable[[str], None]
     ) -> AbstractContextManager[InstallationWatch | None]:
         """Lines about components, None where this kubeconfig is one that kubectl alone can read."""

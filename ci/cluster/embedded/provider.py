@@ -51,7 +51,7 @@ DEFINING = (
         for module in (
             "admission/admission_files",
             "containers/beside_kubelets",
-            "containers/following",
+            "containers/polling",
             "containers/node_containers",
             "containers/reports",
             "control_plane/pki",
@@ -245,10 +245,10 @@ class Embedded:
             wait_until(self.api().ready, "the API server", API_TIMEOUT_SECONDS, kernel)
             programs.start_controllers(self.launcher, self.plan)
             if self.admission == admission_files.FILES:
-                admission_files.start_following(self.launcher)
+                admission_files.start_controller(self.launcher)
             if self.network_policies == network_policies.ON:
-                enforcement.start_following(self.launcher)
-            reports.start_following(self.launcher)
+                enforcement.start_controller(self.launcher)
+            reports.start_polling(self.launcher)
         with steps.step("kubelets, name service, volumes"):
             self._kubelets(placed, holders, runtimes)
             with self.api() as api:

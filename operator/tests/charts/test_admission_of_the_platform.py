@@ -25,7 +25,7 @@ from ci.cluster_contract import topology
 from ci.errors import SetUpError
 from ci.images.image_lock import Image
 from ci.installation import PLATFORM_IMAGES, Installer, platform_values
-from robotkube.registry.admission.loops.following import CatalogueListing, Following
+from robotkube.registry.admission.loops.policy_reconciler import CatalogueListing, PolicyReconciler
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 from robotkube.registry.suites.core.namespace_contents import HelperPod, placed
 from tests.charts.conftest import APP_CHARTS, CHARTS, PLATFORM, PROFILES, Helm, Rendered
@@ -80,7 +80,7 @@ class Demo:
     installer: Installer
     wanted: topology.Topology
     forge: Forge
-    following: Following
+    reconciler: PolicyReconciler
 
     def install(self) -> None:
         self.installer.argocd(REFERENCES)
@@ -124,9 +124,11 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Demo]:
             profile = Embedded(folders.name, binaries).chart_profile()
             forge = Forge(folder / "forge")
             on_disk = CatalogueOnDisk(lambda: forge.repositories, own / "clones")
-            following = admission_files.following(folders, CatalogueListing(on_disk, TrustedKeys(own / "keys")))
+            reconciler = admission_files.policy_reconciler(
+                folders, CatalogueListing(on_disk, TrustedKeys(own / "keys"))
+            )
             installer = WithoutNodes(binaries, cluster.kubeconfig, folder, profile)
-            stage = Demo(cluster, folders, installer, wanted, forge, following)
+            stage = Demo(cluster, folders, installer, wanted, forge, reconciler)
             stage.install()
             yield stage
 
@@ -171,7 +173,7 @@ def test_every_chart_runs_on_an_agent_once_it_is_published(demo: Demo, helm: Hel
     assert f"image {images[APP_CHARTS[0]]} may not run in namespace {AGENT}" in refused
     demo.forge.install()
     demo.forge.publish(catalogue(published(evidence.signing_key(), artefact("app"), images=tuple(images.values()))))
-    assert demo.following.step()
+    assert demo.reconciler.step()
     until(lambda: not demo.apply(AGENT, APPLICATION_CONTROLLER, *applied[APP_CHARTS[0]]), "the list is at work")
     for chart in APP_CHARTS[1:]:
         assert demo.apply(AGENT, APPLICATION_CONTROLLER, *applied[chart]) == ""

@@ -43,7 +43,7 @@ def test_what_hangs_is_followed_by_the_installations_kubeconfig(tmp_path: Path) 
 
     with serving(answer, tmp_path) as kubeconfig:
         installer = Installer(tmp_path, kubeconfig, tmp_path)
-        with installer.following((NAMESPACE, GATE), pytest.fail) as followed:
+        with installer.watching((NAMESPACE, GATE), pytest.fail) as followed:
             assert followed is not None
             followed.wait_for_first_look()
             (line,) = followed.lines.hanging()
@@ -53,10 +53,10 @@ def test_what_hangs_is_followed_by_the_installations_kubeconfig(tmp_path: Path) 
 def test_an_installation_goes_on_when_nobody_can_be_followed(tmp_path: Path) -> None:
     with (
         serving(lambda path, query: FORBIDDEN, tmp_path) as kubeconfig,
-        Installer(tmp_path, kubeconfig, tmp_path).following([NAMESPACE], pytest.fail) as followed,
+        Installer(tmp_path, kubeconfig, tmp_path).watching([NAMESPACE], pytest.fail) as followed,
     ):
         assert followed is not None
         until(lambda: "forbidden" in followed.complaint, "the watch is refused")
         assert followed.lines.hanging() == ()
-    with Installer(tmp_path, tmp_path / "missing", tmp_path).following([NAMESPACE], pytest.fail) as followed:
+    with Installer(tmp_path, tmp_path / "missing", tmp_path).watching([NAMESPACE], pytest.fail) as followed:
         assert followed is None

@@ -7,7 +7,7 @@ API server can see, change or delete.
     <cluster>/admission/...             what the API server reads (`PolicyFiles`)
 
 Before the API server starts, the policies list the images of the platform. A process of the host, `admission`, follows
-the catalogue from then on (`ci.cluster.embedded.admission.following`).
+the catalogue from then on (`ci.cluster.embedded.admission.controller`).
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ from robotkube.registry.admission.core.domain import Domain
 from robotkube.registry.admission.core.policies import for_files
 
 if TYPE_CHECKING:
-    from robotkube.registry.admission.loops.following import CatalogueListing, Following, Surroundings
+    from robotkube.registry.admission.loops.policy_reconciler import CatalogueListing, PolicyReconciler, Surroundings
 
 VARIABLE = "ROBOTKUBE_ADMISSION"
 FILES, OFF = "files", "off"
 CHOICES = (FILES, OFF)
 PROCESS = "admission"
-MODULE = "ci.cluster.embedded.admission.following"
+MODULE = "ci.cluster.embedded.admission.controller"
 CHARTS = "oci://forge.robotkube.svc.cluster.local:3000/verified"  # where charts/robotkube has them
 PLATFORM_ROLE = "platform"  # of machines that are no agents
 SETTINGS_KEYS = {"agents", "platform"}
@@ -87,7 +87,7 @@ def rules(folders: ClusterFolders, topology: Topology) -> list[str]:
     return [json.dumps(for_files(domain_of(agents_of(topology), folders), Allowed()), sort_keys=True)]
 
 
-def start_following(launcher: Launcher) -> Process:
+def start_controller(launcher: Launcher) -> Process:
     """The process that follows the catalogue, started again when it ends: without it nothing that is published runs."""
     return followers.start(launcher, PROCESS, MODULE)
 
@@ -102,17 +102,17 @@ def add(folders: ClusterFolders, agents: Sequence[str] = (), images: Sequence[Im
     _write_settings(folders, [*known["agents"], *agents], [*known["platform"], *references])
 
 
-def following(folders: ClusterFolders, listing: CatalogueListing) -> Following:
+def policy_reconciler(folders: ClusterFolders, listing: CatalogueListing) -> PolicyReconciler:
     """What writes the policies of a cluster as its catalogue lists."""
-    from robotkube.registry.admission.loops.following import Following
+    from robotkube.registry.admission.loops.policy_reconciler import PolicyReconciler
 
     memory = ListingFile(folder(folders) / "listing.json")
-    return Following(listing, policy_files(folders), lambda: surroundings(folders), memory)
+    return PolicyReconciler(listing, policy_files(folders), lambda: surroundings(folders), memory)
 
 
 def surroundings(folders: ClusterFolders) -> Surroundings:
     """What the settings say, for the policies."""
-    from robotkube.registry.admission.loops.following import Surroundings
+    from robotkube.registry.admission.loops.policy_reconciler import Surroundings
 
     known = _read_settings(folders)
     return Surroundings(domain_of(known["agents"], folders), digests_of(known["platform"]))

@@ -12,7 +12,7 @@ from ci import evidence
 from ci.cluster.api_server.client import Api
 from ci.cluster.embedded.admission import admission_files
 from ci.cluster.embedded.admission.catalogue_on_disk import CatalogueOnDisk
-from ci.cluster.embedded.admission.following import forge_folder
+from ci.cluster.embedded.admission.controller import forge_folder
 from ci.cluster.embedded.first_objects import Reader
 from ci.cluster.embedded.host.records import ClusterFolders
 from ci.cluster.embedded.network.addresses import plan_of
@@ -23,7 +23,7 @@ from robotkube.errors import RobotKubeError, UnavailableError
 from robotkube.registry.admission.core.allowed import digests_of
 from robotkube.registry.admission.core.listing import AllowedVersions
 from robotkube.registry.admission.core.stranded import APPLICATIONS, KINDS, Stranded, counted, stranded
-from robotkube.registry.admission.loops.following import CatalogueListing
+from robotkube.registry.admission.loops.policy_reconciler import CatalogueListing
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 
 

@@ -1,5 +1,5 @@
 """Containers in the embedded cluster: a process of the host, `containers`, looks at what every node's runtime runs and
-names what nobody of the cluster started (`ci.cluster.embedded.containers.following`).
+names what nobody of the cluster started (`ci.cluster.embedded.containers.polling`).
 
     <cluster>/containers.json   what its last look saw (for `status`)
 
@@ -18,7 +18,7 @@ from ci.cluster.embedded.host.processes import Launcher, Process, recorded
 from ci.cluster.embedded.host.records import ClusterFolders
 
 PROCESS = "containers"
-MODULE = "ci.cluster.embedded.containers.following"
+MODULE = "ci.cluster.embedded.containers.polling"
 REPORT_SECONDS = 10.0  # how often the process says that it is there
 SILENT_SECONDS_MAX = 60.0
 
@@ -43,7 +43,7 @@ class ContainerReport:
         followers.keep_report(folders, PROCESS, self)
 
 
-def start_following(launcher: Launcher) -> Process:
+def start_polling(launcher: Launcher) -> Process:
     """The process that looks at the nodes' containers; it is started again when it ends."""
     return followers.start(launcher, PROCESS, MODULE)
 

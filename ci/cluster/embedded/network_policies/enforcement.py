@@ -5,7 +5,7 @@ makes of the cluster's policies.
 
 Before a node starts a pod it has the rules of nobody: no pod reaches anything. A process of the host,
 `network-policies`, follows policies, namespaces and pods from then on
-(`ci.cluster.embedded.network_policies.following`).
+(`ci.cluster.embedded.network_policies.controller`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from ci.machine.network_policies import BRIDGED, OFF, ON, VARIABLE, sysctl
 from robotkube.foundation.kubernetes.core import network_policies as semantics
 
 PROCESS = "network-policies"
-MODULE = "ci.cluster.embedded.network_policies.following"
+MODULE = "ci.cluster.embedded.network_policies.controller"
 WEIGHT = 200  # among the daemons: a new pod waits for it
 NODE = ".node"  # what the processes that hold a node's namespaces are named by
 REPORT_SECONDS = 10.0  # how often the process says that it is there
@@ -35,7 +35,7 @@ FILTERING = str(sysctl(BRIDGED))
 FOLDER = Path(__file__).parent
 # What the rules mean: a cluster that enforces others is another one.
 DEFINING = (
-    *(FOLDER / f"{name}.py" for name in ("following", "nftables_rules", "enforcement")),
+    *(FOLDER / f"{name}.py" for name in ("controller", "nftables_rules", "enforcement")),
     FOLDER.parent / "network" / "pod_links.py",
     Path(semantics.__file__),
 )
@@ -43,8 +43,8 @@ DEFINING = (
 
 @dataclass(frozen=True)
 class PolicyReport:
-    """What the following process did last: how many policies are at work on how many nodes, as of when (seconds since
-    1970), and what keeps it from following."""
+    """What the controller did last: how many policies are at work on how many nodes, as of when (seconds since
+    1970), and what keeps it from reconciling."""
 
     policies: int
     nodes: int
@@ -82,8 +82,8 @@ def apply(holder: Process, text: str) -> None:
     host_network.run([*_inside(holder), "nft", "-f", "-"], text)
 
 
-def start_following(launcher: Launcher) -> Process:
-    """The process that follows policies, namespaces and pods; it is started again when it ends."""
+def start_controller(launcher: Launcher) -> Process:
+    """The controller of policies, namespaces and pods, a process; it is started again when it ends."""
     return followers.start(launcher, PROCESS, MODULE, WEIGHT)
 
 

@@ -14,7 +14,7 @@ import pytest
 
 from ci.cluster.embedded.network.pod_links import RESULTS, read_link
 from ci.cluster.embedded.network_policies import enforcement
-from ci.cluster.embedded.network_policies.following import NAMESPACES, POLICIES, known_pod
+from ci.cluster.embedded.network_policies.controller import NAMESPACES, POLICIES, known_pod
 from ci.machine import network_policies
 from ci.machine.network_policies import OFF
 from robotkube.foundation.kubernetes.core.network_policies import NetworkPeer, NetworkPolicy, may_connect, read_policy

@@ -1,4 +1,4 @@
-"""A following that lasts: what it says while main cannot be followed, and when it is ready."""
+"""A reconciler that lasts: what it says while main cannot be followed, and when it is ready."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from tests.stages.waiting import until
 FIRST, SECOND = "1" * 40, "2" * 40
 
 
-class Followed:
-    """Port Followed: main as it stands, and faults of reading and writing."""
+class CataloguePolicies:
+    """Port Reconciler: main as it stands, and faults of reading and writing."""
 
     def __init__(self) -> None:
         self.tip = ""
@@ -45,7 +45,7 @@ class Followed:
 class Stage:
     def __init__(self) -> None:
         self.now = 100.0
-        self.followed = Followed()
+        self.followed = CataloguePolicies()
         self.follower = Follower(self.followed, lambda: self.now)
 
     @property

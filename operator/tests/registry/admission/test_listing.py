@@ -14,7 +14,7 @@ from robotkube.registry.admission.core.allowed import Allowed, digests_of
 from robotkube.registry.admission.core.domain import Domain
 from robotkube.registry.admission.core.listing import AllowedVersions
 from robotkube.registry.admission.core.policies import for_files, list_entries, platform_entries
-from robotkube.registry.admission.loops.following import CatalogueListing, Following, Surroundings
+from robotkube.registry.admission.loops.policy_reconciler import CatalogueListing, PolicyReconciler, Surroundings
 from robotkube.registry.evidence.adapters.dsse import KeyFile
 from robotkube.registry.evidence.core.statements import Artefact
 from tests.stages.attacks import shown
@@ -216,24 +216,24 @@ def test_policies_follow_the_list_and_stay_while_the_forge_is_away(key: KeyFile,
     stage = Stage(key, tmp_path)
     place = Place()
     agents = ["vehicle-00"]
-    following = Following(
+    reconciler = PolicyReconciler(
         stage.listing,
         place,
         lambda: Surroundings(Domain(tuple(agents), (), DOMAIN.charts), (digest(2),)),
         ListingFile(tmp_path / "listing.json"),
     )
-    assert following.step()  # before there is a catalogue: what the platform needs
+    assert reconciler.step()  # before there is a catalogue: what the platform needs
     around = Domain(("vehicle-00",), (), DOMAIN.charts)
     assert place.documents == for_files(around, Allowed(platform=(digest(2),)))
     stage.main.trees.append(catalogue(version(key)))
-    assert following.step()
+    assert reconciler.step()
     whole = Allowed((digest(1),), (digest(2),), CHARTS)
     assert place.documents == for_files(around, whole)
-    assert not following.step()
+    assert not reconciler.step()
     stage.main.away = True
     agents.append("vehicle-01")  # joins meanwhile
     with pytest.raises(UnavailableError):
-        following.step()
+        reconciler.step()
     assert place.documents == for_files(Domain(("vehicle-00", "vehicle-01"), (), DOMAIN.charts), whole)
 
 
@@ -243,17 +243,17 @@ def test_a_process_that_starts_again_goes_on_with_the_last_list(key: KeyFile, tm
     place = Place()
     memory = ListingFile(tmp_path / "l")
     around = Surroundings(Domain(("vehicle-00",), (), DOMAIN.charts), (digest(2),))
-    Following(stage.listing, place, lambda: around, memory).step()
+    PolicyReconciler(stage.listing, place, lambda: around, memory).step()
     whole = place.documents
     again = Stage(key, tmp_path / "keys", catalogue(version(key)))
     again.main.away = True
-    following = Following(again.listing, place, lambda: around, memory)
+    reconciler = PolicyReconciler(again.listing, place, lambda: around, memory)
     with pytest.raises(UnavailableError):
-        following.step()
+        reconciler.step()
     assert place.documents == whole == for_files(around.domain, Allowed((digest(1),), (digest(2),), CHARTS))
     again.main.away = False
     again.main.trees.append(catalogue())
-    assert following.step()
+    assert reconciler.step()
     assert place.documents == for_files(around.domain, Allowed(platform=(digest(2),)))
 
 

@@ -26,7 +26,7 @@ from robotkube.registry.admission.core.domain import PROJECT, Domain
 from robotkube.registry.admission.core.list_objects import list_object
 from robotkube.registry.admission.core.listing import AllowedVersions
 from robotkube.registry.admission.core.stranded import APPLICATIONS, KINDS, counted, stranded
-from robotkube.registry.admission.loops.following import CatalogueListing
+from robotkube.registry.admission.loops.policy_reconciler import CatalogueListing
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 
 NAMESPACE = "robotkube"

@@ -28,7 +28,7 @@ from robotkube.foundation.runtime import settings_file as files
 from robotkube.foundation.runtime.adapters.health_server import HealthServer
 from robotkube.foundation.runtime.adapters.prometheus_series import MetricsPage
 from robotkube.foundation.runtime.process import Process, run
-from robotkube.registry.admission.loops.following import CatalogueListing
+from robotkube.registry.admission.loops.policy_reconciler import CatalogueListing
 from robotkube.registry.charts.adapters.chart_renderer import PROGRAM, PROGRAM_VARIABLE, ChartRenderer
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.charts.loops.release_images import ReleaseObjects

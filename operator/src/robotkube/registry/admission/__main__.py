@@ -31,7 +31,12 @@ from robotkube.foundation.runtime.process import Process, run
 from robotkube.registry.admission.adapters.policy_objects import ListMemory, PolicyObjects
 from robotkube.registry.admission.core.domain import REMOVER, Domain
 from robotkube.registry.admission.loops.follower import Follower
-from robotkube.registry.admission.loops.following import CatalogueListing, Following, Surroundings, form_of_objects
+from robotkube.registry.admission.loops.policy_reconciler import (
+    CatalogueListing,
+    PolicyReconciler,
+    Surroundings,
+    form_of_objects,
+)
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 
 GRACE_SECONDS = 5.0
@@ -95,8 +100,8 @@ class AdmissionWriter:
         listing = CatalogueListing(clone, TrustedKeys(configuration.evidence_keys))
         self.place = PolicyObjects(api, configuration.domain.platform, self._touched)
         around = Surroundings(configuration.domain, ())
-        following = Following(listing, self.place, lambda: around, ListMemory(self.place), form_of_objects)
-        self.follower = Follower(following, time.monotonic)
+        reconciler = PolicyReconciler(listing, self.place, lambda: around, ListMemory(self.place), form_of_objects)
+        self.follower = Follower(reconciler, time.monotonic)
         self.server = WebServer(
             configuration.listen.address,
             configuration.listen.port,

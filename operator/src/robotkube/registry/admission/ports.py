@@ -1,4 +1,4 @@
-"""What following the catalogue needs: its main with its history, a place for policies, and a memory."""
+"""What reconciling policies with the catalogue needs: its main with its history, a place for policies, and a memory."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from robotkube.delivery.console.core.recordings import recording_documents
 from robotkube.delivery.console.loops.model import ReadModel
 from robotkube.delivery.console.ports import Detector, ManagerPages, Pages, Settings
 from robotkube.errors import InputError, RobotKubeError
-from robotkube.foundation.runtime.loops.following import step_when_woken
+from robotkube.foundation.runtime.loops.wakeups import step_when_woken
 
 RESYNC_SECONDS = 3.0
 RETRY_SECONDS_BOUNDS = (RESYNC_SECONDS, 2 * RESYNC_SECONDS)

@@ -10,7 +10,7 @@ from robotkube.delivery.inspection.core.permitted import Permitted
 from robotkube.delivery.inspection.loops.release_shapes import ReleaseShapes
 from robotkube.registry.admission.core.allowed import Allowed
 from robotkube.registry.admission.core.domain import Domain
-from robotkube.registry.admission.loops.following import CatalogueListing
+from robotkube.registry.admission.loops.policy_reconciler import CatalogueListing
 
 LATELY_SECONDS = 60.0  # a withdrawal is a plan, a commit and Argo CD's sync away from the pods
 

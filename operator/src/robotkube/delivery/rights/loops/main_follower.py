@@ -13,7 +13,7 @@ from robotkube.delivery.rights.core.grants import MainTable, main_table
 from robotkube.errors import RobotKubeError
 from robotkube.foundation.forge.core.resync import RESYNC_SECONDS
 from robotkube.foundation.forge.ports.repositories import MainHistory
-from robotkube.foundation.runtime.loops.following import step_when_woken
+from robotkube.foundation.runtime.loops.wakeups import step_when_woken
 
 RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 1.0, 2.0
 

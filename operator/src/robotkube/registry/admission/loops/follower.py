@@ -1,4 +1,4 @@
-"""A following that lasts: what goes wrong is said once and tried again, and how old the list may be is known.
+"""A reconciler that lasts: what goes wrong is said once and tried again, and how old the list may be is known.
 
 The list is that of main when main was read and nothing was left to write. From then on it is confirmed with each look;
 while forge or API server are away it may be older than main, and says since when.
@@ -14,7 +14,7 @@ from typing import Protocol
 
 from robotkube.errors import RobotKubeError
 from robotkube.foundation.forge.core.resync import RESYNC_SECONDS
-from robotkube.foundation.runtime.loops.following import step_when_woken
+from robotkube.foundation.runtime.loops.wakeups import step_when_woken
 from robotkube.foundation.runtime.ports import Series, by_one
 from robotkube.registry.admission.core.listing import AllowedVersions
 
@@ -23,8 +23,8 @@ RETRY_SECONDS_FIRST, RETRY_SECONDS_MAX = 1.0, 2.0
 log = logging.getLogger(__name__)
 
 
-class Followed(Protocol):
-    """What a follower steps: `Following`."""
+class Reconciler(Protocol):
+    """What a follower steps: `PolicyReconciler`."""
 
     @property
     def tip(self) -> str:
@@ -50,16 +50,16 @@ class FollowerStatistics:
 
 
 class Follower:
-    """Steps of a following, on one thread; `wake` from any. `monotonic` is a clock in seconds that never goes back;
+    """Steps of a reconciler, on one thread; `wake` from any. `monotonic` is a clock in seconds that never goes back;
     `errors` are those that pass, so that the next step is tried."""
 
     def __init__(
         self,
-        following: Followed,
+        reconciler: Reconciler,
         monotonic: Callable[[], float],
         errors: tuple[type[Exception], ...] = (RobotKubeError,),
     ) -> None:
-        self._following = following
+        self._reconciler = reconciler
         self._monotonic = monotonic
         self._errors = errors
         self._woken = threading.Event()
@@ -77,7 +77,7 @@ class Follower:
         """One step; False when it failed. A problem is logged when it comes and when it is another one."""
         announced, self._announced = self._announced, ""
         try:
-            self.statistics.written += self._following.step()
+            self.statistics.written += self._reconciler.step()
         except self._errors as error:
             self.statistics.failed += 1
             self._announced = self._announced or announced
@@ -104,8 +104,8 @@ class Follower:
     def reasons_not_ready(self) -> Sequence[str]:
         """Why this is not ready: the list is not that of main as it was seen or announced last. Main that cannot be
         read is none: the last list stays, and is the right one as far as is known."""
-        written = self._following.written
-        tip = self._announced or self._following.tip
+        written = self._reconciler.written
+        tip = self._announced or self._reconciler.tip
         because = f": {self.problem}" if self.problem else ""
         if written is None:
             return [f"no list was written yet{because}"]
@@ -117,7 +117,7 @@ class Follower:
 
     def metrics(self) -> Sequence[Series]:
         """What Prometheus reads."""
-        written = self._following.written or AllowedVersions()
+        written = self._reconciler.written or AllowedVersions()
         listed = {"charts": float(len(written.charts)), "images": float(len(written.verified))}
         prefix = "robotkube_admission_"
         statistics = self.statistics

@@ -17,7 +17,7 @@ from ci import evidence, installation
 from ci.cluster import __main__ as commands
 from ci.cluster.embedded.admission import admission_files
 from ci.cluster.embedded.admission.catalogue_on_disk import REPOSITORY, CatalogueOnDisk
-from ci.cluster.embedded.admission.following import FIND_SECONDS, ForgeFolder, follow
+from ci.cluster.embedded.admission.controller import FIND_SECONDS, ForgeFolder, reconcile
 from ci.cluster.embedded.admission.stranded import report, stranded_now
 from ci.cluster.embedded.control_plane import programs
 from ci.cluster.embedded.control_plane.pki import Authority
@@ -32,7 +32,7 @@ from ci.images.image_lock import Image
 from robotkube.errors import UnavailableError
 from robotkube.registry.admission.core.expressions import RESOURCES
 from robotkube.registry.admission.core.stranded import APPLICATIONS, KINDS
-from robotkube.registry.admission.loops.following import CatalogueListing
+from robotkube.registry.admission.loops.policy_reconciler import CatalogueListing
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 from tests.stages.registry.admission_examples import CHART, CHARTS, application, digest, image, pod, workload
 from tests.stages.registry.signed_evidence import artefact, catalogue, published
@@ -150,19 +150,19 @@ def test_policies_follow_what_is_published_on_this_machine(folders: ClusterFolde
     app = artefact()
     on_disk = CatalogueOnDisk(lambda: forge.repositories, admission_files.folder(folders) / "clones")
     listing = CatalogueListing(on_disk, TrustedKeys(admission_files.folder(folders) / "keys"))
-    following = admission_files.following(folders, listing)
+    reconciler = admission_files.policy_reconciler(folders, listing)
     with pytest.raises(UnavailableError, match="the forge has no catalogue yet"):
-        following.step()
+        reconciler.step()
     forge.install()
-    assert not following.step()
+    assert not reconciler.step()
     forge.publish(catalogue(published(key, app, images=(image(1),))))
-    assert following.step()
-    assert not following.step()
+    assert reconciler.step()
+    assert not reconciler.step()
     listed = policies(folders)
     assert digest(1) in listed["robotkube-agents.static.k8s.io"]
     assert f"app@{app.digest}" in listed["robotkube-applications.static.k8s.io"]
     forge.publish(catalogue(published(key, artefact(content="again"), images=(image(6),))))
-    assert following.step()
+    assert reconciler.step()
     assert {word for word in (digest(1), digest(6)) if word in policies(folders)["robotkube-agents.static.k8s.io"]} == {
         digest(1),
         digest(6),
@@ -218,7 +218,7 @@ def test_the_forges_folder_is_asked_now_and_then_and_the_last_answer_counts() ->
 
 
 class Failing:
-    """A following whose steps fail, one after the other."""
+    """A reconciler whose steps fail, one after the other."""
 
     def __init__(self, problems: Sequence[str]) -> None:
         self.problems = list(problems)
@@ -238,7 +238,7 @@ def test_a_problem_is_logged_when_it_comes_and_when_it_changes(caplog: pytest.Lo
             raise EOFError
 
     with pytest.raises(EOFError):
-        follow(failing, pause)
+        reconcile(failing, pause)
     stays = "admission: the policies stay as they are"
     said = [record.getMessage() for record in caplog.records]
     assert said == [f"{stays}: {word}" for word in ("away", "gone", "gone")]
@@ -248,7 +248,7 @@ def test_the_process_of_the_host_waits_for_a_platform(folders: ClusterFolders) -
     """It writes what it knows, says once what it waits for, and goes on."""
     programs.write_credentials(Authority(folders.pki), plan_of(folders.name), folders)
     admission_files.add(folders, ["vehicle-77"])
-    command = [sys.executable, "-m", "ci.cluster.embedded.admission.following", "--name", folders.name]
+    command = [sys.executable, "-m", "ci.cluster.embedded.admission.controller", "--name", folders.name]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None

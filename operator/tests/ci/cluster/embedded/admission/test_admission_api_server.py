@@ -16,13 +16,13 @@ import pytest
 from ci import evidence
 from ci.cluster.embedded.admission import admission_files
 from ci.cluster.embedded.admission.catalogue_on_disk import CatalogueOnDisk
-from ci.cluster.embedded.admission.following import POLL_SECONDS, follow
+from ci.cluster.embedded.admission.controller import POLL_SECONDS, reconcile
 from ci.cluster.embedded.host import followers
 from ci.cluster.embedded.host.records import ClusterFolders
 from ci.cluster_contract import topology
 from ci.images.image_lock import Image
 from robotkube.registry.admission.adapters.policy_files import PolicyFiles
-from robotkube.registry.admission.loops.following import CatalogueListing
+from robotkube.registry.admission.loops.policy_reconciler import CatalogueListing
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 from tests.ci.cluster.embedded.admission.test_admission import SCENARIO, Forge
 from tests.stages import programs
@@ -68,7 +68,7 @@ def api(tmp_path: Path, forge: Forge, looks: list[int], monkeypatch: pytest.Monk
     admission_files.prepare(folders, topology.read(SCENARIO, {"vehicles": "2"}), LOCK)
     own = admission_files.folder(folders)
     listing = CatalogueListing(CatalogueOnDisk(lambda: forge.repositories, own / "clones"), TrustedKeys(own / "keys"))
-    following = admission_files.following(folders, listing)
+    reconciler = admission_files.policy_reconciler(folders, listing)
     end = threading.Event()
 
     def pause() -> None:
@@ -78,7 +78,7 @@ def api(tmp_path: Path, forge: Forge, looks: list[int], monkeypatch: pytest.Monk
 
     def run() -> None:
         with pytest.raises(EOFError):
-            follow(following, pause)
+            reconcile(reconciler, pause)
 
     thread = threading.Thread(target=run)
     with served(tmp_path / "server", PolicyFiles(own)) as api:

@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from ci.cluster.embedded.containers.beside_kubelets import Container, NodeContents
-from ci.cluster.embedded.containers.following import NAMESPACE, ClusterReports, Looking, api_server
+from ci.cluster.embedded.containers.polling import NAMESPACE, ClusterReports, ContainerPoll, api_server
 from ci.cluster.embedded.containers.reports import PROCESS
 from ci.cluster.embedded.control_plane.pki import Authority, control_plane_identities
 from ci.cluster.embedded.host.records import ClusterFolders
@@ -105,10 +105,10 @@ def test_a_stranger_is_written_as_soon_as_the_platform_is_there(api: Api, own: A
     reporter = Reporter(KubernetesInspections(own, NAMESPACE, PROCESS, time.time), time.time_ns)
     node = OneNode()
     now = 0.0
-    looking = Looking(node, lambda: now)
+    poll = ContainerPoll(node, lambda: now)
 
     def reported() -> str:
-        return ClusterReports(reporter.report, lambda: now)(looking.looks())
+        return ClusterReports(reporter.report, lambda: now)(poll.looks())
 
     assert "takes no Inspections; they are written once the platform is installed" in reported()
     install_definition(api)
@@ -159,8 +159,8 @@ def test_what_others_make_of_an_inspection_is_seen(api: Api, own: ApiServer) -> 
     install_definition(api)
     api.post("/api/v1/namespaces", {"apiVersion": "v1", "kind": "Namespace", "metadata": {"name": NAMESPACE}})
     reporter = Reporter(KubernetesInspections(own, NAMESPACE, PROCESS, time.time), time.time_ns)
-    looking = Looking(OneNode(), lambda: 0.0)
-    [look] = looking.looks()
+    poll = ContainerPoll(OneNode(), lambda: 0.0)
+    [look] = poll.looks()
     reporter.report(look)
     reporter.attend()
     path = f"{INSPECTIONS}/machine.vehicle-00"

@@ -12,8 +12,8 @@ import pytest
 
 from ci.cluster.embedded.containers import beside_kubelets, reports
 from ci.cluster.embedded.containers.beside_kubelets import GRACE_SECONDS, Container
-from ci.cluster.embedded.containers.following import ContainersOfNodes, Looking
 from ci.cluster.embedded.containers.node_containers import ANNOTATIONS, RUNNING, SPECIFICATION
+from ci.cluster.embedded.containers.polling import ContainerPoll, ContainersOfNodes
 from ci.cluster.embedded.control_plane.pki import Authority, Identity
 from ci.cluster.embedded.host import followers, processes, runc_records
 from robotkube.delivery.inspection.core.strangers import Stranger
@@ -26,10 +26,10 @@ pytestmark = pytest.mark.toolchain
 
 FOREIGN = "foreign"
 MAIN = f"""
-from ci.cluster.embedded.containers import following
+from ci.cluster.embedded.containers import polling
 from ci.cluster.embedded.network import addresses
 addresses.PLANS["{CLUSTER}"] = addresses._plan("{CLUSTER}", "127.91.0.0/24", "10.246.0.0/16", "10.98.0.0/16")
-following.main()
+polling.main()
 """
 
 
@@ -86,31 +86,31 @@ def end(node: LoneNode, namespace: str) -> None:
     node.ctr("--namespace", namespace, "containers", "delete", FOREIGN)
 
 
-def named(looking: Looking) -> list[Stranger]:
-    [look] = looking.looks()
+def named(poll: ContainerPoll) -> list[Stranger]:
+    [look] = poll.looks()
     assert not look.problem
     return list(look.strangers)
 
 
 def test_a_container_beside_the_kubelet_is_named_until_it_ends(foreign: LoneNode) -> None:
-    looking = Looking(ContainersOfNodes(foreign.folders), time.monotonic)
-    assert named(looking) == []
+    poll = ContainerPoll(ContainersOfNodes(foreign.folders), time.monotonic)
+    assert named(poll) == []
     run(foreign, "default")
-    [one] = named(looking)
+    [one] = named(poll)
     assert (one.name, one.reason) == ("default/foreign", "BesideTheKubelet")
     assert "runs /probe" in one.message
     shown("nodes", one.message, "beside-the-kubelet")
     end(foreign, "default")
-    assert named(looking) == []
+    assert named(poll) == []
 
 
 def test_one_in_the_kubelets_namespace_is_named_when_its_kubelet_does_not_write_it_down(foreign: LoneNode) -> None:
     now = 0.0
-    looking = Looking(ContainersOfNodes(foreign.folders), lambda: now)
+    poll = ContainerPoll(ContainersOfNodes(foreign.folders), lambda: now)
     run(foreign, "k8s.io")
-    assert named(looking) == []
+    assert named(poll) == []
     now += GRACE_SECONDS
-    assert [one.name for one in named(looking)] == ["k8s.io/foreign"]
+    assert [one.name for one in named(poll)] == ["k8s.io/foreign"]
 
 
 @pytest.mark.parametrize("as_what", ["container", "sandbox"])
@@ -132,7 +132,7 @@ def test_what_it_says_of_itself_does_not_make_it_the_kubelets(foreign: LoneNode,
 def test_pods_that_come_and_go_raise_no_alarm(node: LoneNode) -> None:
     """With a container that prepares, one that fails, and an image that is not there: the sandbox stays alone."""
     image = node.reference("probe")
-    looking = Looking(ContainersOfNodes(node.folders), time.monotonic)
+    poll = ContainerPoll(ContainersOfNodes(node.folders), time.monotonic)
     steps = [{"name": "prepare", "image": image, "args": ["read", "/proc/self/comm"]}]
     works = {"initContainers": steps, "containers": [{"name": "works", "image": image}]}
     fails = {"containers": [{"name": "fails", "image": image, "args": ["read", "/nothing"]}]}
@@ -141,7 +141,7 @@ def test_pods_that_come_and_go_raise_no_alarm(node: LoneNode) -> None:
 
     def watched() -> set[str]:
         """The pods that have something known that runs; nothing is named."""
-        assert named(looking) == []
+        assert named(poll) == []
         gone = unknown(node)
         return {
             container.pod.removesuffix(f"-{node.node.name}")

@@ -21,8 +21,8 @@ from ci.cluster.embedded.host.processes import Process
 from ci.cluster.embedded.host.records import ClusterFolders
 from ci.cluster.embedded.network.pod_links import RESULTS, PodLink
 from ci.cluster.embedded.network_policies import enforcement
+from ci.cluster.embedded.network_policies.controller import NAMESPACES
 from ci.cluster.embedded.network_policies.enforcement import MODULE, PROCESS, SILENT_SECONDS_MAX, status
-from ci.cluster.embedded.network_policies.following import NAMESPACES
 from ci.machine.network_policies import VARIABLE
 from robotkube.foundation.kubernetes.core.network_policies import NetworkPeer
 from tests.stages import programs

@@ -6,7 +6,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 
-from robotkube.foundation.runtime.loops.following import step_when_woken
+from robotkube.foundation.runtime.loops.wakeups import step_when_woken
 from tests.stages.pauses import Pauses
 
 

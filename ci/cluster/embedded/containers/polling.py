@@ -1,4 +1,4 @@
-"""`python -m ci.cluster.embedded.containers.following`: looks at the containers of every node's runtime and names
+"""`python -m ci.cluster.embedded.containers.polling`: looks at the containers of every node's runtime and names
 those that nobody of the cluster started, as Inspection `machine.<node>` with Events and log lines.
 
 A process of the host: it reads the nodes' own files, so who administers the cluster through its API has no way to it.
@@ -71,7 +71,7 @@ class ContainersOfNodes:
         return self._nodes[name].read()
 
 
-class Looking:
+class ContainerPoll:
     """Looks at all nodes; what was unknown in one look is remembered for the next."""
 
     def __init__(self, nodes: Nodes, clock: Callable[[], float]) -> None:
@@ -144,8 +144,8 @@ def report_of(looks: Iterable[Look], problem: str, at: float) -> ContainerReport
     )
 
 
-def follow(
-    looking: Looking,
+def poll_forever(
+    poll: ContainerPoll,
     reports: Callable[[Iterable[Look]], str],
     keep: Callable[[ContainerReport], None],
     pause: Callable[[], None],
@@ -157,7 +157,7 @@ def follow(
     kept: ContainerReport | None = None
     said = ""
     while True:
-        looks = looking.looks()
+        looks = poll.looks()
         report = report_of(looks, reports(looks), clock())
         if not report.says(kept) or not 0 <= report.at - (kept or report).at < REPORT_SECONDS:
             keep(report)
@@ -184,14 +184,14 @@ def api_server(url: str, folders: ClusterFolders) -> ApiServer:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m ci.cluster.embedded.containers.following", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m ci.cluster.embedded.containers.polling", description=__doc__)
     parser.add_argument("--name", required=True, help="of the cluster")
     folders = ClusterFolders(parser.parse_args().name)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
     api = api_server(f"https://{plan_of(folders.name).gateway}:{API_PORT}", folders)
     reporter = Reporter(KubernetesInspections(api, NAMESPACE, PROCESS, time.time), time.time_ns)
-    follow(
-        Looking(ContainersOfNodes(folders), time.monotonic),
+    poll_forever(
+        ContainerPoll(ContainersOfNodes(folders), time.monotonic),
         ClusterReports(reporter.report, time.monotonic, reporter.attend),
         lambda report: report.write(folders),
         lambda: time.sleep(LOOK_SECONDS),

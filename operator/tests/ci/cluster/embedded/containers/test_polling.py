@@ -12,15 +12,15 @@ import pytest
 
 from ci.cluster.embedded.containers import reports
 from ci.cluster.embedded.containers.beside_kubelets import GRACE_SECONDS, Container, NodeContents
-from ci.cluster.embedded.containers.following import (
+from ci.cluster.embedded.containers.node_containers import RUNNING
+from ci.cluster.embedded.containers.polling import (
     AGAIN_SECONDS,
     LOOK_SECONDS,
     ClusterReports,
+    ContainerPoll,
     ContainersOfNodes,
-    Looking,
-    follow,
+    poll_forever,
 )
-from ci.cluster.embedded.containers.node_containers import RUNNING
 from ci.cluster.embedded.containers.reports import PROCESS, REPORT_SECONDS, SILENT_SECONDS_MAX, ContainerReport
 from ci.cluster.embedded.host.processes import Process, start_ticks
 from ci.cluster.embedded.host.records import ClusterFolders
@@ -77,7 +77,7 @@ class Cluster:
         self.nodes = TwoNodes()
         self.inspections = Inspections()
         self.kept: list[ContainerReport] = []
-        self.looking = Looking(self.nodes, self.clock)
+        self.poll = ContainerPoll(self.nodes, self.clock)
         self.reporter = Reporter(self.inspections, self.clock.ns)
         self.reports = ClusterReports(self.reporter.report, self.clock, self.reporter.attend)
 
@@ -91,7 +91,7 @@ class Cluster:
                 raise EndedError
 
         with pytest.raises(EndedError):
-            follow(self.looking, self.reports, self.kept.append, pause, self.clock)
+            poll_forever(self.poll, self.reports, self.kept.append, pause, self.clock)
 
     def condition(self, node: str, kind: str) -> str:
         return self.inspections.conditions(f"machine.{node}")[kind]

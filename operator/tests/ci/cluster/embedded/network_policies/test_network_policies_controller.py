@@ -12,18 +12,18 @@ from typing import Any
 import pytest
 
 from ci.cluster.embedded.network.pod_links import PodLink
-from ci.cluster.embedded.network_policies.enforcement import REPORT_SECONDS, PolicyReport, rules
-from ci.cluster.embedded.network_policies.following import (
+from ci.cluster.embedded.network_policies.controller import (
     AGAIN_SECONDS,
     POLL_SECONDS,
-    Following,
     KnownPod,
     Observed,
-    follow,
+    PolicyController,
     known_pod,
     policy,
+    reconcile,
     woken,
 )
+from ci.cluster.embedded.network_policies.enforcement import REPORT_SECONDS, PolicyReport, rules
 from ci.errors import InputError, SetUpError
 from ci.machine.network_policies import OFF, ON, VARIABLE, choice, lacking
 
@@ -47,7 +47,7 @@ class Cluster:
         self.asked = 0
         self.written: list[str] = []
         self.rules: dict[str, str] = {}
-        self.following = Following(self.links, self.observe, self.apply)
+        self.controller = PolicyController(self.links, self.observe, self.apply)
 
     def links(self) -> dict[str, frozenset[PodLink]]:
         self._raise("links")
@@ -74,7 +74,7 @@ class Cluster:
     def step(self, changed: bool = True) -> list[str]:
         """The nodes whose rules were replaced in one step, in their order."""
         self.written = []
-        self.following.step(changed)
+        self.controller.step(changed)
         return self.written
 
 
@@ -88,7 +88,7 @@ def cluster() -> Cluster:
 def test_a_pod_that_everybody_knows_has_rules(cluster: Cluster) -> None:
     assert cluster.knows("one", WEB)
     assert cluster.knows("two", STORE)
-    assert (cluster.following.nodes, cluster.following.policies) == (2, 0)
+    assert (cluster.controller.nodes, cluster.controller.policies) == (2, 0)
 
 
 def test_rules_that_stay_the_same_are_not_written_again(cluster: Cluster) -> None:
@@ -105,7 +105,7 @@ def test_a_policy_is_followed(cluster: Cluster) -> None:
     cluster.observed = replace(cluster.observed, policies=[policy(DENY, set())])
     assert cluster.step() == ["one", "two"]
     assert all("shop: deny" in text for text in cluster.rules.values())
-    assert cluster.following.policies == 1
+    assert cluster.controller.policies == 1
 
 
 def test_a_new_pods_node_comes_after_those_that_let_it_in(cluster: Cluster) -> None:
@@ -152,7 +152,7 @@ def test_a_node_that_joins_gets_rules_and_one_that_went_and_came_gets_them_anew(
     assert cluster.step(changed=False) == ["three"]
     del cluster.given["two"]
     cluster.step(changed=False)
-    assert cluster.following.nodes == 2
+    assert cluster.controller.nodes == 2
     cluster.given["two"] = frozenset([STORE])
     assert "two" in cluster.step(changed=False)
 
@@ -185,7 +185,7 @@ def test_a_node_that_takes_no_rules_keeps_no_other_from_its_own(cluster: Cluster
 
 def test_a_process_that_starts_again_writes_everything_anew(cluster: Cluster) -> None:
     """Whatever was there: it may be of other policies."""
-    cluster.following = Following(cluster.links, cluster.observe, cluster.apply)
+    cluster.controller = PolicyController(cluster.links, cluster.observe, cluster.apply)
     assert cluster.step() == ["one", "two"]
 
 
@@ -230,7 +230,7 @@ def steps(
             raise EndedError from None
 
     with pytest.raises(EndedError):
-        follow(cluster.following, wait, reports.append, clock)
+        reconcile(cluster.controller, wait, reports.append, clock)
     return asked, reports
 
 

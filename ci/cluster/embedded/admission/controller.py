@@ -1,4 +1,4 @@
-"""`python -m ci.cluster.embedded.admission.following`: keeps the policies of an embedded cluster to what its
+"""`python -m ci.cluster.embedded.admission.controller`: keeps the policies of an embedded cluster to what its
 catalogue lists.
 
 A process of the host, beside the API server: whoever administers the cluster through its API has no way to it. What it
@@ -22,7 +22,7 @@ from ci.cluster.embedded.network.addresses import plan_of
 from ci.errors import SetUpError
 from robotkube.errors import RobotKubeError, UnavailableError
 from robotkube.registry.admission.loops.follower import Follower
-from robotkube.registry.admission.loops.following import CatalogueListing, Following
+from robotkube.registry.admission.loops.policy_reconciler import CatalogueListing, PolicyReconciler
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 
 POLL_SECONDS = 0.2  # a publication is followed within a second
@@ -59,23 +59,23 @@ def forge_folder(api: first_objects.Reader) -> ForgeFolder:
     return ForgeFolder(lambda: first_objects.volume_path(api, NAMESPACE, CLAIM) / REPOSITORIES)
 
 
-def follow(following: Following, pause: Callable[[], None]) -> None:
+def reconcile(reconciler: PolicyReconciler, pause: Callable[[], None]) -> None:
     """Step for ever; a problem is logged when it comes and when it is another one."""
-    follower = Follower(following, time.monotonic, (RobotKubeError, SetUpError))
+    follower = Follower(reconciler, time.monotonic, (RobotKubeError, SetUpError))
     while True:
         follower.step()
         pause()
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m ci.cluster.embedded.admission.following", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m ci.cluster.embedded.admission.controller", description=__doc__)
     parser.add_argument("--name", required=True, help="of the cluster")
     folders = ClusterFolders(parser.parse_args().name)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
     place = forge_folder(Api(str(plan_of(folders.name).gateway), folders.pki))
     own = admission_files.folder(folders)
     listing = CatalogueListing(CatalogueOnDisk(place, own / "clones"), TrustedKeys(own / "keys"))
-    follow(admission_files.following(folders, listing), lambda: time.sleep(POLL_SECONDS))
+    reconcile(admission_files.policy_reconciler(folders, listing), lambda: time.sleep(POLL_SECONDS))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""`python -m ci.cluster.embedded.network_policies.following`: keeps each node's nftables rules to what the cluster's
+"""`python -m ci.cluster.embedded.network_policies.controller`: keeps each node's nftables rules to what the cluster's
 NetworkPolicies say.
 
 A process of the host. Addresses come from the nodes (`pod_links`), labels and policies from the API server. A change of
@@ -83,7 +83,7 @@ def policy(document: Object, complaints: set[str]) -> NetworkPolicy:
         return NetworkPolicy(str(metadata["namespace"]), str(metadata["name"]), (), (), ())
 
 
-class Following:
+class PolicyController:
     """The rules of the nodes follow what is observed. `links`: what each node gave out; `apply` replaces the rules of a
     node; what they raise is raised, and they are asked again in the next step."""
 
@@ -218,31 +218,31 @@ class ClusterObjects:
         return list(read_json_shortened(call(self._api, "GET", path).data)["items"])
 
 
-def follow(
-    following: Following,
+def reconcile(
+    controller: PolicyController,
     wait: Callable[[float], bool],
     report: Callable[[PolicyReport], None],
     clock: Callable[[], float],
 ) -> None:
     """Step for ever. `wait` returns after so many seconds, or at once (True) when an object has changed. Now and then
-    everything is read again, whatever was heard of. What keeps it from following is logged when it comes and when it is
-    another thing, and reported."""
+    everything is read again, whatever was heard of. What keeps it from reconciling is logged when it comes and when it
+    is another thing, and reported."""
     changed = True
     problem = ""
     reported = float("-inf")
     while True:
-        before = (problem, following.policies, following.nodes)
+        before = (problem, controller.policies, controller.nodes)
         due = not 0 <= clock() - reported < REPORT_SECONDS
         try:
-            following.step(changed or due)
+            controller.step(changed or due)
             problem = ""
         except (RobotKubeError, SetUpError) as error:
             if str(error) != problem:
                 log.warning("network policies: the rules stay as they are: %s", error)
             problem = str(error)
-        if due or before != (problem, following.policies, following.nodes):
+        if due or before != (problem, controller.policies, controller.nodes):
             reported = clock()
-            report(PolicyReport(following.policies, following.nodes, reported, problem))
+            report(PolicyReport(controller.policies, controller.nodes, reported, problem))
         changed = wait(AGAIN_SECONDS if problem else POLL_SECONDS)
 
 
@@ -256,7 +256,7 @@ def woken(changed: threading.Event, seconds: float) -> bool:
 
 def main() -> None:
     parser = argparse.ArgumentParser(
-        prog="python -m ci.cluster.embedded.network_policies.following", description=__doc__
+        prog="python -m ci.cluster.embedded.network_policies.controller", description=__doc__
     )
     parser.add_argument("--name", required=True, help="of the cluster")
     folders = ClusterFolders(parser.parse_args().name)
@@ -265,8 +265,8 @@ def main() -> None:
     nodes = RulesOfNodes(folders)
     objects = ClusterObjects(api_client(str(folders.kubeconfig)), changed)
     objects.start()
-    following = Following(nodes.links, objects.observe, nodes.apply)
-    follow(following, lambda seconds: woken(changed, seconds), lambda report: report.write(folders), time.time)
+    controller = PolicyController(nodes.links, objects.observe, nodes.apply)
+    reconcile(controller, lambda seconds: woken(changed, seconds), lambda report: report.write(folders), time.time)
 
 
 if __name__ == "__main__":

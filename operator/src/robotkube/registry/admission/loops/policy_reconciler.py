@@ -1,4 +1,5 @@
-"""Following the catalogue: the list of what may run becomes policies whenever main, keys or namespaces change.
+"""Reconciling policies with the catalogue: the list of what may run becomes policies whenever main, keys or namespaces
+change.
 
 Whatever cannot be read leaves the policies as they are: a forge that is away, a key that cannot be read and a broken
 file never look like a withdrawal.
@@ -137,7 +138,7 @@ def form_of_objects(around: Surroundings, allowed: AllowedVersions) -> Sequence[
     return documents_for_api(around.domain, allowed)
 
 
-class Following:
+class PolicyReconciler:
     """The policies of a place, kept to what a catalogue lists. `surroundings` are asked each time: agents join, and
     images come. Until the catalogue has been read, the list is that of `memory`: in a new cluster the platform's images
     are all that may run."""

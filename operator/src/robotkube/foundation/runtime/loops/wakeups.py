@@ -1,4 +1,4 @@
-"""Following something that changes elsewhere: a step when somebody says so, and now and then without."""
+"""Wake-ups of a loop whose subject changes elsewhere: a step when somebody says so, and now and then without."""
 
 from __future__ import annotations
 
