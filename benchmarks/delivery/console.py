@@ -74,13 +74,13 @@ def serving(size: Size) -> Iterator[tuple[str, dict[str, float]]]:
 def measured(size: Size, seconds: int = SECONDS, *way: str) -> dict[str, Any]:
     """What a browser finds on a page that it looks at for so long."""
     with serving(size) as (url, used):
-        figures: dict[str, Any] = json.loads(console.browse("figures", url, str(seconds), *way))
-    if len(figures["event_ms"]) < min(EVENTS_MIN, seconds // 2):
-        raise SetUpError(f"of {seconds} events, one a second, the page showed {len(figures['event_ms'])}")
-    return figures | used
+        answers: dict[str, Any] = json.loads(console.browse("figures", url, str(seconds), *way))
+    if len(answers["event_ms"]) < min(EVENTS_MIN, seconds // 2):
+        raise SetUpError(f"of {seconds} events, one a second, the page showed {len(answers['event_ms'])}")
+    return answers | used
 
 
-def figures(browsed: dict[str, Any]) -> dict[str, Any]:
+def recorded(browsed: dict[str, Any]) -> dict[str, Any]:
     """The measurements as they are recorded."""
     return {
         "event_to_pixel_ms": asdict(quantiles(browsed["event_ms"])),
@@ -93,9 +93,9 @@ def figures(browsed: dict[str, Any]) -> dict[str, Any]:
 
 
 def compare(seconds: int = SECONDS) -> list[Comparison]:
-    """The ratios; all figures are recorded."""
+    """The ratios; all measurements are recorded."""
     large, small, polled = measured(LARGE, seconds), measured(SMALL, seconds), measured(LARGE, seconds, POLLED)
-    record(RECORD, {"large": figures(large), "small": figures(small), "polled": figures(polled)})
+    record(RECORD, {"large": recorded(large), "small": recorded(small), "polled": recorded(polled)})
     few = f"{SMALL.agents} agents"
     p95, p95_polled = quantiles(large["event_ms"]).p95, quantiles(polled["event_ms"]).p95
     first_view = large["page_bytes"] + large["data_bytes"]

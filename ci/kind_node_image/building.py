@@ -49,7 +49,7 @@ def ensure() -> Path:
         return target
     folder = target.parent
     folder.mkdir(parents=True, exist_ok=True)
-    _require_room(folder)
+    _require_space(folder)
     steps = Steps(STEPS)
     with steps.step("kubeadm"):
         kubeadm = programs.kubeadm()
@@ -71,7 +71,7 @@ def ensure() -> Path:
         return part.rename(target)
 
 
-def _require_room(folder: Path) -> None:
+def _require_space(folder: Path) -> None:
     free = shutil.disk_usage(folder).free
     if free < FREE_BYTES_MIN:
         raise SetUpError(

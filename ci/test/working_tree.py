@@ -73,15 +73,15 @@ def difference(before: Files, after: Files) -> str:
     knows."""
     if not before.unread and after.unread:
         return f"git named {len(before.digests):,} files before the tests, and none since: {after.unread}"
-    return _told(before, after, before.kept)
+    return _sentence_of(before, after, before.kept)
 
 
 def difference_of_others(before: Files, after: Files) -> str:
     """The same of the files that git did not have before."""
-    return _told(before, after, (before.digests.keys() | after.digests.keys()) - before.kept)
+    return _sentence_of(before, after, (before.digests.keys() | after.digests.keys()) - before.kept)
 
 
-def _told(before: Files, after: Files, names: Set[str]) -> str:
+def _sentence_of(before: Files, after: Files, names: Set[str]) -> str:
     if before.unread or after.unread:
         return ""
     became = _changes(*({name: one.digests[name] for name in names & one.digests.keys()} for one in (before, after)))

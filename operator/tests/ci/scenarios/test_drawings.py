@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element, fromstring
 import pytest
 
 from scenarios.runner.reporting.drawings import ages, cores, coverage, distances, trajectories, ways
-from scenarios.runner.reporting.drawings.figures import Drawing, NoDrawingError, shortened
+from scenarios.runner.reporting.drawings.drawing import Drawing, NoDrawingError, shortened
 from scenarios.runner.reporting.drawings.gallery import DRAWINGS, OLDER, gallery
 from scenarios.runner.reporting.drawings.reading import at, finite, rows
 from scenarios.runner.reporting.drawings.scales import Scale, step_of

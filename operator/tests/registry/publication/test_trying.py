@@ -22,7 +22,7 @@ SERVICES = ("drive", "order", "plan")
 OWN = {"static": "1", "images": "1"}
 
 
-class Told:
+class ScriptedSuite:
     """A suite that renders what it is given, and gives the checks that a test says."""
 
     version = "1"
@@ -80,7 +80,7 @@ class Cluster:
 
 def tried(
     charts: Sequence[ChartSource],
-    *suites: Told,
+    *suites: ScriptedSuite,
     lacking: Mapping[str, str] | None = None,
     cluster: Cluster | None = None,
 ) -> list[TriedSuite]:
@@ -97,7 +97,7 @@ def tried(
 
 
 def test_each_suite_of_the_policy_is_run_or_said_why_not(charts: list[ChartSource]) -> None:
-    rows = tried(charts[:1], Told("static", Check("a", True)), Told("images", Check("b", True)))
+    rows = tried(charts[:1], ScriptedSuite("static", Check("a", True)), ScriptedSuite("images", Check("b", True)))
     assert [(row.suite, row.outcome, row.reason) for row in rows] == [
         ("static", "passed", ""),
         ("images", "not run", "no reference of image ros"),
@@ -108,13 +108,13 @@ def test_each_suite_of_the_policy_is_run_or_said_why_not(charts: list[ChartSourc
 
 
 def test_suites_that_need_a_cluster_run_there_when_the_others_have_passed(charts: list[ChartSource]) -> None:
-    suites = Told("static", Check("a", True)), Told("interface"), Told("install")
+    suites = ScriptedSuite("static", Check("a", True)), ScriptedSuite("interface"), ScriptedSuite("install")
     passed = SuiteResult("install", "1", "passed", (Check("a", True),), 1.0)
     rows = {one.suite: (one.outcome, one.reason) for one in tried(charts[:1], *suites, cluster=Cluster(passed))}
     assert (rows["interface"], rows["install"]) == (("passed", ""), ("passed", ""))
     rows = {one.suite: (one.outcome, one.reason) for one in tried(charts[:1], *suites, cluster=Cluster("why not"))}
     assert rows["install"] == ("not run", "why not")
-    failing = Told("static", Check("a", False, "seen")), *suites[1:]
+    failing = ScriptedSuite("static", Check("a", False, "seen")), *suites[1:]
     rows = {one.suite: (one.outcome, one.reason) for one in tried(charts[:1], *failing, cluster=Cluster(passed))}
     assert rows["install"] == ("not run", "static did not pass; it is run when that has")
 
@@ -122,12 +122,12 @@ def test_suites_that_need_a_cluster_run_there_when_the_others_have_passed(charts
 def test_an_interruption_stops_what_runs_on_the_cluster(charts: list[ChartSource]) -> None:
     cluster = Cluster(KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):
-        tried(charts[:1], Told("static", Check("a", True)), Told("install"), cluster=cluster)
+        tried(charts[:1], ScriptedSuite("static", Check("a", True)), ScriptedSuite("install"), cluster=cluster)
     assert cluster.stopped
 
 
 def test_what_is_lacking_is_said_of_every_chart(charts: list[ChartSource]) -> None:
-    rows = tried(charts, Told("static"), lacking={"static": "no helm", "images": "no platform"})
+    rows = tried(charts, ScriptedSuite("static"), lacking={"static": "no helm", "images": "no platform"})
     assert {(row.suite, row.reason) for row in rows if row.suite in OWN} == {
         ("static", "no helm"),
         ("images", "no platform"),
@@ -138,17 +138,17 @@ def test_what_is_lacking_is_said_of_every_chart(charts: list[ChartSource]) -> No
 @pytest.mark.parametrize(
     ("suite", "outcome"),
     [
-        (Told("static", Check("a", True), Check("b", False, "seen")), "failed"),
-        (Told("static"), "unfinished"),
-        (Told("static", error=UnavailableError("helm cannot be started")), "unfinished"),
+        (ScriptedSuite("static", Check("a", True), Check("b", False, "seen")), "failed"),
+        (ScriptedSuite("static"), "unfinished"),
+        (ScriptedSuite("static", error=UnavailableError("helm cannot be started")), "unfinished"),
     ],
 )
-def test_what_does_not_pass_is_not_called_passed(charts: list[ChartSource], suite: Told, outcome: str) -> None:
+def test_what_does_not_pass_is_not_called_passed(charts: list[ChartSource], suite: ScriptedSuite, outcome: str) -> None:
     assert [one.outcome for one in tried(charts, suite) if one.suite == "static"] == [outcome] * 3
 
 
 def test_a_suite_sees_the_chart_as_it_would_be_published(charts: list[ChartSource]) -> None:
-    suite = Told("static", Check("a", True))
+    suite = ScriptedSuite("static", Check("a", True))
     tried(charts[:1], suite)
     [subject] = suite.seen
     assert subject.artefact.digest == charts[0].packed.digest

@@ -76,7 +76,7 @@ class Nothing:
         return None
 
 
-class Told:
+class ScriptedSuite:
     """A suite that does what a test says."""
 
     name = "install"
@@ -179,7 +179,7 @@ def test_a_run_has_a_namespace_that_is_removed_in_the_end() -> None:
 
     with runs(namespaces, told=lines) as made:
         for _ in range(2):
-            result = made.run(RULE, Told(act), subject())
+            result = made.run(RULE, ScriptedSuite(act), subject())
             assert isinstance(result, SuiteResult)
             assert result.outcome == "passed"
         assert not namespaces.removed
@@ -192,9 +192,9 @@ def test_two_runs_at_once_have_namespaces_of_their_own() -> None:
     namespaces = Namespaces()
     both = threading.Barrier(2, timeout=10)
     with runs(namespaces) as made:
-        others = threading.Thread(target=made.run, args=(RULE, Told(lambda namespace: _wait(both)), subject()))
+        others = threading.Thread(target=made.run, args=(RULE, ScriptedSuite(lambda namespace: _wait(both)), subject()))
         others.start()
-        made.run(RULE, Told(lambda namespace: _wait(both)), subject())
+        made.run(RULE, ScriptedSuite(lambda namespace: _wait(both)), subject())
         others.join(10)
     assert sorted(namespaces.removed) == ["robotkube-try-1a2b-0", "robotkube-try-1a2b-1"]
 
@@ -206,7 +206,7 @@ def _wait(barrier: threading.Barrier) -> None:
 def test_what_admission_refuses_is_said_in_its_words() -> None:
     namespaces = Namespaces("only images of chart versions that are verified")
     with runs(namespaces) as made:
-        answer = made.run(RULE, Told(), subject())
+        answer = made.run(RULE, ScriptedSuite(), subject())
     assert answer == (
         f"the cluster lets {IMAGE} not run in a namespace of yours: only images of chart versions that are verified; "
         "submit the chart: the platform's own test namespaces take it"
@@ -220,8 +220,8 @@ def test_a_chart_that_needs_what_is_not_there_makes_no_namespace() -> None:
     item = {"kind": "Deployment", "spec": {"template": {"spec": {"volumes": volumes}}}}
     prepared = [{**SETS[0], "prepare": {"image": "ros", "command": ["x"]}}]
     with runs(namespaces) as made:
-        assert "volume claim scratch" in str(made.run(RULE, Told(), subject([item])))
-        assert "prepared on a volume claim" in str(made.run(RULE, Told(), subject(sets=prepared)))
+        assert "volume claim scratch" in str(made.run(RULE, ScriptedSuite(), subject([item])))
+        assert "prepared on a volume claim" in str(made.run(RULE, ScriptedSuite(), subject(sets=prepared)))
     assert namespaces.made == []
 
 
@@ -229,9 +229,9 @@ def test_nothing_begins_when_the_time_is_over_or_it_was_stopped() -> None:
     clock = Clock()
     with runs(Namespaces(), clock) as made:
         clock.now = 90.0
-        assert "the 100 s that a try takes at most were over" in str(made.run(RULE, Told(), subject()))
+        assert "the 100 s that a try takes at most were over" in str(made.run(RULE, ScriptedSuite(), subject()))
         made.stop()
-        assert made.run(RULE, Told(), subject()) == STOPPED
+        assert made.run(RULE, ScriptedSuite(), subject()) == STOPPED
 
 
 def test_a_run_that_the_time_of_all_cuts_off_is_none() -> None:
@@ -243,7 +243,7 @@ def test_a_run_that_the_time_of_all_cuts_off_is_none() -> None:
 
     with runs(Namespaces(), clock) as made:
         clock.now = 55.0
-        answer = made.run(RULE, Told(act), subject())
+        answer = made.run(RULE, ScriptedSuite(act), subject())
     assert answer == "the 100 s that a try takes at most were over after 46 s of it; try this chart alone"
 
 
@@ -257,7 +257,7 @@ def test_what_runs_ends_soon_after_it_was_stopped() -> None:
         namespace.wait_ready("Pod", "never", 60)
 
     with runs(namespaces) as made:
-        thread = threading.Thread(target=lambda: results.append(made.run(RULE, Told(act), subject())))
+        thread = threading.Thread(target=lambda: results.append(made.run(RULE, ScriptedSuite(act), subject())))
         thread.start()
         assert waiting.wait(10)
         made.stop()
@@ -276,7 +276,7 @@ def test_trouble_of_the_cluster_is_no_pass(monkeypatch: pytest.MonkeyPatch) -> N
 
     monkeypatch.setattr(namespaces, "make", refused)
     with runs(namespaces) as made:
-        result = made.run(RULE, Told(), subject())
+        result = made.run(RULE, ScriptedSuite(), subject())
     assert isinstance(result, SuiteResult)
     assert (result.outcome, result.checks[0].found) == ("unfinished", "API server: nobody answers")
     assert namespaces.removed == ["robotkube-try-1a2b-1"], "one that is half made is removed as well"
@@ -288,7 +288,7 @@ def test_a_namespace_that_stays_is_named(stays: bool, monkeypatch: pytest.Monkey
     lines: list[str] = []
     clock = Clock()
     with runs(namespaces, clock, lines) as made:
-        made.run(RULE, Told(), subject())
+        made.run(RULE, ScriptedSuite(), subject())
         if stays:
             monkeypatch.setattr(made, "_clock", iter(range(0, 1000, 15)).__next__)
         else:

@@ -16,7 +16,7 @@ from robotkube.testing.suites import CHART, make_request, make_subject
 RULE = SuiteRule("install", "1", 30)
 
 
-class Told:
+class ScriptedSuite:
     """A suite that does what a test says."""
 
     name = "install"
@@ -35,24 +35,30 @@ class Told:
 @pytest.mark.parametrize(
     ("suite", "outcome", "words"),
     [
-        (Told([Check("a", True)]), "passed", ""),
-        (Told([Check("a", True), Check("b", False, "seen")]), "failed", "seen"),
-        (Told([]), "unfinished", "0 checks"),
-        (Told([Check(str(number), True) for number in range(201)]), "unfinished", "201 checks"),
-        (Told(error=InputError("no broker")), "unfinished", "no broker"),
-        (Told(error=UnavailableError("API server away")), "unfinished", "API server away"),
-        (Told(error=ZeroDivisionError("division by zero")), "unfinished", "ZeroDivisionError: division by zero"),
-        (Told(error=MemoryError()), "unfinished", "MemoryError"),
+        (ScriptedSuite([Check("a", True)]), "passed", ""),
+        (ScriptedSuite([Check("a", True), Check("b", False, "seen")]), "failed", "seen"),
+        (ScriptedSuite([]), "unfinished", "0 checks"),
+        (ScriptedSuite([Check(str(number), True) for number in range(201)]), "unfinished", "201 checks"),
+        (ScriptedSuite(error=InputError("no broker")), "unfinished", "no broker"),
+        (ScriptedSuite(error=UnavailableError("API server away")), "unfinished", "API server away"),
+        (
+            ScriptedSuite(error=ZeroDivisionError("division by zero")),
+            "unfinished",
+            "ZeroDivisionError: division by zero",
+        ),
+        (ScriptedSuite(error=MemoryError()), "unfinished", "MemoryError"),
     ],
 )
-def test_outcomes(suite: Told, outcome: str, words: str) -> None:
+def test_outcomes(suite: ScriptedSuite, outcome: str, words: str) -> None:
     result = run_suite(RULE, suite, make_subject, None, lambda: 1.0)
     assert (result.outcome, result.suite, result.version) == (outcome, "install", "1")
     assert words in " ".join(check.found for check in result.failed)
 
 
 def test_another_version_than_the_policys_is_not_run() -> None:
-    result = run_suite(SuiteRule("install", "2", 30), Told([Check("a", True)]), make_subject, None, lambda: 1.0)
+    result = run_suite(
+        SuiteRule("install", "2", 30), ScriptedSuite([Check("a", True)]), make_subject, None, lambda: 1.0
+    )
     assert result.outcome == "unfinished"
     assert "asks for suite install version 2; this platform has 1" in result.checks[0].found
 
@@ -61,7 +67,7 @@ def test_a_chart_that_cannot_be_had_is_unfinished() -> None:
     def away() -> Subject:
         raise UnavailableError("registry away")
 
-    assert run_suite(RULE, Told(), away, None, lambda: 1.0).outcome == "unfinished"
+    assert run_suite(RULE, ScriptedSuite(), away, None, lambda: 1.0).outcome == "unfinished"
 
 
 class Charts:

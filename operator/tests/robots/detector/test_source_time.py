@@ -15,7 +15,7 @@ from robotkube.robots.rules.core import RuleQuestion
 from robotkube.robots.rules.core.plugin_api import Arrival, Holding, PluginHost
 from robotkube.robots.rules.core.windows import Window
 from tests.stages.detector.rules import MS, NOW, NUMBER, NUMBERS, POSES, SECOND, RuleStage, layouts, number
-from tests.stages.detector.streams import Sent, Told, document, lived, replayed
+from tests.stages.detector.streams import ReportedEdge, Sent, document, lived, replayed
 
 NEAR = {"name": "near", "kind": "proximity", "topic": POSES, "start_distance_m": 30, "stop_distance_m": 40}
 FAR_EAST = {
@@ -30,14 +30,14 @@ RULES = document(NEAR, FAR_EAST, LOST, SLOW)
 LATENCY = 3 * MS
 YEAR_2038 = 2_145_916_800 * SECOND - NOW
 
-Way = Callable[[Sequence[Sent], Mapping[str, Any]], list[Told]]
+Way = Callable[[Sequence[Sent], Mapping[str, Any]], list[ReportedEdge]]
 
 
-def by_replay(sent: Sequence[Sent], settings: Mapping[str, Any]) -> list[Told]:
+def by_replay(sent: Sequence[Sent], settings: Mapping[str, Any]) -> list[ReportedEdge]:
     return replayed(sent, settings)[0]
 
 
-def by_life(sent: Sequence[Sent], settings: Mapping[str, Any]) -> list[Told]:
+def by_life(sent: Sequence[Sent], settings: Mapping[str, Any]) -> list[ReportedEdge]:
     return lived(sent, settings)[0]
 
 

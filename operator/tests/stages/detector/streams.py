@@ -36,7 +36,7 @@ class Sent(NamedTuple):
         return pose(self.x, self.y, stamp=NOW + self.stamp)
 
 
-class Told(NamedTuple):
+class ReportedEdge(NamedTuple):
     """An edge, with its stamp in ns since NOW."""
 
     rule: str
@@ -55,17 +55,17 @@ def _no_workers() -> PatientWorkers:
     raise AssertionError("no rule here has a process")
 
 
-def replayed(sent: Sequence[Sent], settings: Mapping[str, Any]) -> tuple[list[Told], ReplayResult]:
+def replayed(sent: Sequence[Sent], settings: Mapping[str, Any]) -> tuple[list[ReportedEdge], ReplayResult]:
     """The edges that `rule test` finds in a bag of these messages, and all that it says."""
     ordered = sorted(sent, key=lambda message: message.received)
     messages = [(message.topic, NOW + message.received, message.data) for message in ordered]
     types = {message.topic: POSE for message in ordered}
     result = replay(read_detector_settings(settings, "here"), layouts(), types, messages, _no_workers)
     edges = [edge for edge in result.edges if edge.rule != "time-jump"]
-    return [Told(e.rule, e.edge, e.agents, e.stamp - NOW, e.id) for e in edges], result
+    return [ReportedEdge(e.rule, e.edge, e.agents, e.stamp - NOW, e.id) for e in edges], result
 
 
-def lived(sent: Sequence[Sent], settings: Mapping[str, Any]) -> tuple[list[Told], DetectorStage]:
+def lived(sent: Sequence[Sent], settings: Mapping[str, Any]) -> tuple[list[ReportedEdge], DetectorStage]:
     """The edges of a live detector that gets these messages when they are received, and the detector."""
     waiting = sorted(sent, key=lambda message: message.received)[::-1]
     stage = DetectorStage(MemoryTasks())
@@ -82,7 +82,7 @@ def lived(sent: Sequence[Sent], settings: Mapping[str, Any]) -> tuple[list[Told]
         stage.detector.turn()
     stage.detector.settle()
     edges = [
-        Told(e["rule"], e["edge"], tuple(e["agents"]), e["stamp"] - NOW, e["id"])
+        ReportedEdge(e["rule"], e["edge"], tuple(e["agents"]), e["stamp"] - NOW, e["id"])
         for e in stage.events()
         if e["rule"] != "time-jump"
     ]

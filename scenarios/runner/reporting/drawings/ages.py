@@ -7,8 +7,7 @@ from itertools import pairwise
 from math import ceil
 from xml.etree.ElementTree import Element
 
-from scenarios.runner.reporting.drawings.elements import label, line, polygon, polyline, rectangle
-from scenarios.runner.reporting.drawings.figures import (
+from scenarios.runner.reporting.drawings.drawing import (
     BOTTOM,
     LEFT,
     RIGHT,
@@ -20,6 +19,7 @@ from scenarios.runner.reporting.drawings.figures import (
     picture,
     shortened,
 )
+from scenarios.runner.reporting.drawings.elements import label, line, polygon, polyline, rectangle
 from scenarios.runner.reporting.drawings.reading import Document, finite, rows
 from scenarios.runner.reporting.drawings.scales import Scale, number, scale, step_of, upwards
 

@@ -6,8 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from xml.etree.ElementTree import Element
 
-from scenarios.runner.reporting.drawings.elements import Point, label, line, polygon
-from scenarios.runner.reporting.drawings.figures import (
+from scenarios.runner.reporting.drawings.drawing import (
     BOTTOM,
     COLOURS,
     LEFT,
@@ -19,6 +18,7 @@ from scenarios.runner.reporting.drawings.figures import (
     NoDrawingError,
     picture,
 )
+from scenarios.runner.reporting.drawings.elements import Point, label, line, polygon
 from scenarios.runner.reporting.drawings.reading import Document, finite
 from scenarios.runner.reporting.drawings.scales import scale, upwards
 

@@ -7,8 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
-from scenarios.runner.reporting.drawings.elements import label, line, rectangle
-from scenarios.runner.reporting.drawings.figures import (
+from scenarios.runner.reporting.drawings.drawing import (
     BOTTOM,
     RIGHT,
     Axes,
@@ -18,6 +17,7 @@ from scenarios.runner.reporting.drawings.figures import (
     picture,
     shortened,
 )
+from scenarios.runner.reporting.drawings.elements import label, line, rectangle
 from scenarios.runner.reporting.drawings.reading import Document, finite
 from scenarios.runner.reporting.drawings.scales import Scale, scale
 

@@ -7,8 +7,7 @@ from itertools import combinations
 from math import dist
 from xml.etree.ElementTree import Element
 
-from scenarios.runner.reporting.drawings.elements import circle, label, line, polyline
-from scenarios.runner.reporting.drawings.figures import (
+from scenarios.runner.reporting.drawings.drawing import (
     BOTTOM,
     COLOURS,
     LEFT,
@@ -21,6 +20,7 @@ from scenarios.runner.reporting.drawings.figures import (
     bands,
     picture,
 )
+from scenarios.runner.reporting.drawings.elements import circle, label, line, polyline
 from scenarios.runner.reporting.drawings.reading import Document, finite, rows
 from scenarios.runner.reporting.drawings.scales import number, scale, upwards
 

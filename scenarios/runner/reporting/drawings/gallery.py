@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from scenarios.runner.reporting.drawings import ages, cores, coverage, distances, trajectories, ways
-from scenarios.runner.reporting.drawings.figures import Drawing, NoDrawingError
+from scenarios.runner.reporting.drawings.drawing import Drawing, NoDrawingError
 from scenarios.runner.reporting.drawings.reading import Document
 
 Draw = Callable[[Document], Iterator[Drawing]]

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from math import dist, inf
 from xml.etree.ElementTree import Element
 
-from scenarios.runner.reporting.drawings.elements import Point, circle, label, line, polyline
-from scenarios.runner.reporting.drawings.figures import (
+from scenarios.runner.reporting.drawings.drawing import (
     BOTTOM,
     LEFT,
     RIGHT,
@@ -25,6 +24,7 @@ from scenarios.runner.reporting.drawings.figures import (
     listed,
     picture,
 )
+from scenarios.runner.reporting.drawings.elements import Point, circle, label, line, polyline
 from scenarios.runner.reporting.drawings.reading import Document, at, finite, rows
 from scenarios.runner.reporting.drawings.scales import Scale, scale
 

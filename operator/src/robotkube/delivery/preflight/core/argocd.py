@@ -128,7 +128,7 @@ def speech(present: ArgoCd) -> ServerSpeech | None:
         return None
     template = mapping(mapping(deployment.get("spec")).get("template"))
     container = next(iter(items(mapping(template.get("spec")).get("containers"))), {})
-    insecure, root = (_told(container, one, present.parameters) for one in (INSECURE, ROOT))
+    insecure, root = (_given(container, one, present.parameters) for one in (INSECURE, ROOT))
     return ServerSpeech(
         insecure if isinstance(insecure, Unread) else insecure not in TRUE,
         root if isinstance(root, Unread) else root.strip("/"),
@@ -143,8 +143,8 @@ def server_of(present: ArgoCd, settings: Mapping[str, Any]) -> str:
     return str(server.get("url") or f"{'https' if server.get('authorities') else 'http'}://{service}")
 
 
-def _told(container: Object, parameter: ServerParameter, data: Mapping[str, str] | Unread) -> str | Unread:
-    """What a container is told by the flag, else by the variable, in which a key of PARAMETERS may stand."""
+def _given(container: Object, parameter: ServerParameter, data: Mapping[str, str] | Unread) -> str | Unread:
+    """What a container is given by the flag, else by the variable, in which a key of PARAMETERS may stand."""
     words = [str(word) for key in ("command", "args") for word in container.get(key) or ()]
     for word, following in zip_longest(words, words[1:], fillvalue=""):
         name, equals, value = word.partition("=")

@@ -33,8 +33,8 @@ Amounts = Mapping[str, Decimal]
 
 
 @dataclass
-class _Room:
-    """What is free on a Node."""
+class _Candidate:
+    """A Node that takes pods, and what is free on it."""
 
     node: Object
     free: dict[str, Decimal] = field(default_factory=dict)
@@ -49,21 +49,23 @@ class _Room:
 
 def capacity(rendering: RenderedChart, nodes: Sequence[Object], pods: Sequence[Object]) -> CheckVerdict:
     """Each pod of the chart finds a Node. Pods of the platform that run already are not counted as another's."""
-    rooms = _rooms(rendering, nodes, pods)
+    candidates = _candidates(rendering, nodes, pods)
     wanted = [one for one in rendering.workloads if BEFORE_DELETION not in one.hook]
     copies = [(workload, requests(workload.pod.spec)) for workload in wanted for _ in range(workload.replicas)]
     problems: list[Problem] = []
     for workload, asked in sorted(copies, key=lambda copy: (copy[1]["memory"], copy[1]["cpu"]), reverse=True):
-        eligible = [room for room in rooms if _admits(room.node, workload.pod.spec)]
+        eligible = [candidate for candidate in candidates if _admits(candidate.node, workload.pod.spec)]
         chosen = max(
-            (room for room in eligible if room.takes(asked)), key=lambda room: room.free["memory"], default=None
+            (candidate for candidate in eligible if candidate.takes(asked)),
+            key=lambda candidate: candidate.free["memory"],
+            default=None,
         )
         if chosen is not None:
             chosen.take(asked)
         else:
             problems.append(_unplaced(workload, asked, eligible))
     total = {name: sum((asked[name] for _, asked in copies), ENOUGH) for name in RESOURCES}
-    says = f"{len(copies)} pods ask for {_words(total)}; {len(rooms)} Nodes are ready and take pods"
+    says = f"{len(copies)} pods ask for {_words(total)}; {len(candidates)} Nodes are ready and take pods"
     return CheckVerdict(says, problems)
 
 
@@ -81,18 +83,18 @@ def _asked(containers: Sequence[Mapping[str, Any]], name: str) -> list[Decimal]:
     return [quantity(amount) or ENOUGH for amount in amounts]
 
 
-def _rooms(rendering: RenderedChart, nodes: Sequence[Object], pods: Sequence[Object]) -> list[_Room]:
+def _candidates(rendering: RenderedChart, nodes: Sequence[Object], pods: Sequence[Object]) -> list[_Candidate]:
     usable = [node for node in nodes if is_ready(node) and not mapping(node.get("spec")).get("unschedulable")]
-    rooms = {name_of(node): _Room(node, _allocatable(node)) for node in usable}
+    candidates = {name_of(node): _Candidate(node, _allocatable(node)) for node in usable}
     own = {workload.namespace for workload in rendering.workloads}
     for pod in pods:
         spec = mapping(pod.get("spec"))
         phase = mapping(pod.get("status")).get("phase")
         ours = metadata_of(pod).get("namespace") in own and labels_of(pod).get(PART_OF) == "robotkube"
-        room = rooms.get(str(spec.get("nodeName", "")))
-        if room is not None and phase not in OVER and not ours:
-            room.take(requests(spec))
-    return list(rooms.values())
+        candidate = candidates.get(str(spec.get("nodeName", "")))
+        if candidate is not None and phase not in OVER and not ours:
+            candidate.take(requests(spec))
+    return list(candidates.values())
 
 
 def _allocatable(node: Object) -> dict[str, Decimal]:
@@ -115,7 +117,7 @@ def _tolerates(toleration: Mapping[str, Any], taint: Mapping[str, Any]) -> bool:
     return toleration.get("key") == taint.get("key") and toleration.get("value", "") == taint.get("value", "")
 
 
-def _unplaced(workload: Workload, asked: Amounts, eligible: Sequence[_Room]) -> Problem:
+def _unplaced(workload: Workload, asked: Amounts, eligible: Sequence[_Candidate]) -> Problem:
     why = "its pod stays Pending, and the installation waits until its time is over"
     if not eligible:
         selector = mapping(workload.pod.spec.get("nodeSelector"))
@@ -123,7 +125,7 @@ def _unplaced(workload: Workload, asked: Amounts, eligible: Sequence[_Room]) -> 
         what = f"no Node that is ready has its labels ({said}) and no taint beyond its tolerations"
         fix = "platform.nodeSelector and platform.tolerations (or the component's own) in the values, or label a Node"
         return Problem(what, workload.place, why, fix)
-    names = named([name_of(room.node) for room in eligible])
+    names = named([name_of(candidate.node) for candidate in eligible])
     what = f"none of its Nodes ({names}) has {_words(asked)} free beside the other pods"
     return Problem(
         what, workload.place, why, "the component's resources.requests in the values, or a larger or further Node"

@@ -56,7 +56,7 @@ def _ring(value: Any) -> Ring:
         points.pop()
     if len(points) < 3 or not _extent(points):
         raise AreaError("must hold rings of at least three corners that enclose something")
-    if crossing := _crossing(tuple(points)):
+    if crossing := _intersection(tuple(points)):
         (start, _), (other, _) = crossing
         raise AreaError(
             f"must hold rings that do not cross themselves; the edge from {_point_text(start)} crosses that from "
@@ -69,7 +69,7 @@ def _point_text(point: Point) -> str:
     return f"[{point[0]:g}, {point[1]:g}]"
 
 
-def _crossing(ring: Ring) -> tuple[RingSegment, RingSegment] | None:
+def _intersection(ring: Ring) -> tuple[RingSegment, RingSegment] | None:
     """Two edges that go through each other; edges that only touch do not. Only those that overlap in x are compared."""
     ordered = sorted(_segments(ring), key=lambda segment: min(segment[0][0], segment[1][0]))
     open_segments: list[RingSegment] = []
