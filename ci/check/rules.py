@@ -7,7 +7,7 @@ import subprocess
 from collections import Counter
 from collections.abc import Iterable
 
-from ci.check import assignments, boundaries, cores
+from ci.check import assignments, boundaries, cores, words
 from ci.docs import links, markdown
 from ci.errors import InputError
 from ci.folders import PROJECT
@@ -28,8 +28,8 @@ def tracked(*patterns: str) -> list[str]:
 def repository_rules() -> list[str]:
     """Rules that no tool knows: no absolute paths of one machine, no registry addresses, no module of more than 500
     lines, no folder with too many of them, no tuple assignment of values of several kinds, no name of two public
-    classes of one tree, no page with lines that do not fit into a window, no core that is not pure, no package outside
-    of the import contracts.
+    classes of one tree, no private word in a name, no page with lines that do not fit into a window, no core that is
+    not pure, no package outside of the import contracts.
     """
     findings = []
     if (TOP / "operator/__init__.py").exists():
@@ -57,6 +57,7 @@ def repository_rules() -> list[str]:
     findings += mixed_assignments(tracked("*.py"))
     for root in ROOTS:
         findings += ambiguous_classes(tracked(f"{root}/*.py"))
+    findings += private_words(tracked("*.py"))
     findings += long_lines()
     return findings + cores.findings(TOP / "operator/src/robotkube") + boundaries.findings(TOP)
 
@@ -91,6 +92,23 @@ def ambiguous_classes(names: Iterable[str]) -> list[str]:
         f"{', '.join(where)}: class {name} stands for {len(where)} things; give each a name of its own"
         for name, where in sorted(places.items())
         if len(where) > 1
+    ]
+
+
+def private_words(names: Iterable[str]) -> list[str]:
+    """Names with a word that has been replaced by one of the field; in a repository without the list there are none."""
+    place = TOP / words.FILE
+    if not place.is_file():
+        return []
+    try:
+        vocabulary = words.read(place.read_text(encoding="utf-8"))
+    except InputError as error:
+        return [str(error)]
+    return words.unused(vocabulary, TOP) + [
+        finding
+        for name in names
+        if not name.startswith(AS_PUBLISHED)
+        for finding in words.findings(name, (TOP / name).read_text(encoding="utf-8"), vocabulary)
     ]
 
 

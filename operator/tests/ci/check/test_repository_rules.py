@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ci.check import assignments, boundaries, cores, rules, tools
+from ci.check import assignments, boundaries, cores, rules, tools, words
 from tests.stages.paths import REPOSITORY
 
 CORE = "operator/src/robotkube/delivery/manager/core/updates.py"
@@ -317,6 +317,74 @@ def test_names_of_classes_are_compared_in_each_tree_alone(place: Path) -> None:
     assert findings(place) == []
     write(place, other, "class Report: ...\n")
     assert findings(place) == [f"{one}, {other}: class Report stands for 2 things; give each a name of its own"]
+
+
+VOCABULARY = words.Vocabulary({"room": "test namespace", "door": "task gateway"}, {"ci/former.py": ["room"]})
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "line", "kind", "given"),
+    [
+        ("ci/doors/room.py", "", 1, "module", "room"),
+        ("ci/running.py", "class FreeRoom: ...", 1, "class", "FreeRoom"),
+        ("ci/running.py", "class A:\n    def _room_of(self): ...", 2, "function", "_room_of"),
+        ("ci/running.py", "async def room(): ...", 1, "function", "room"),
+        ("ci/running.py", 'made = {\n    "testRoom": 1}', 2, "key", "testRoom"),
+        ("ci/former.py", 'made = {"room": 1, "rooms": 2, "room_of": 3}', 1, "key", "room_of"),
+        ("operator/tests/ci/test_room.py", "", 1, "module", "test_room"),
+        ("operator/tests/ci/test_running.py", "class Room: ...", 1, "class", "Room"),
+    ],
+)
+def test_a_private_word_in_a_name_is_a_finding(name: str, text: str, line: int, kind: str, given: str) -> None:
+    assert words.findings(name, text, VOCABULARY) == [
+        f"{name}:{line}: {kind} {given} has the private word 'room'; the field's is: test namespace ({words.FILE})"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("ci/running.py", "class Broom: ...\ndef showroom(): ..."),
+        ("ci/running.py", 'made = {"in the room": 1, "room/door": 2, 3: 4, **others}\nroom = "room"'),
+        ("ci/former.py", 'made = {"room": 1}'),
+        ("operator/tests/ci/test_running.py", "def test_there_is_room(): ...\ndef room(): ..."),
+    ],
+)
+def test_other_words_sentences_and_values_are_not(name: str, text: str) -> None:
+    assert words.findings(name, text, VOCABULARY) == []
+
+
+def test_private_words_are_those_of_the_repositorys_list(place: Path) -> None:
+    module = "ci/cluster/rooms.py"
+    write(place, module, "")
+    assert findings(place) == []
+    write(place, words.FILE, '[words]\nrooms = "test namespaces"\n[former_keys]\n"ci/gone.py" = ["room"]\n')
+    assert findings(place) == [
+        f"{words.FILE}: former_keys: ci/gone.py has no key 'room'; take it out",
+        f"{module}:1: module rooms has the private word 'rooms'; the field's is: test namespaces ({words.FILE})",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("words", "write it as TOML"),
+        ('[words]\nRoom = "x"', "words.Room: must be one word in small letters"),
+        ('[words]\nroom = ""', "words.room: must be one word in small letters, with the field's word for it"),
+        ("[others]", "others: is unknown; known tables are words and former_keys"),
+    ],
+)
+def test_a_list_of_words_that_is_none_is_a_finding(place: Path, text: str, problem: str) -> None:
+    write(place, words.FILE, text)
+    [finding] = findings(place)
+    assert finding.startswith(f"{words.FILE}: ")
+    assert problem in finding
+
+
+def test_the_list_has_words_that_no_name_has() -> None:
+    listed = words.read((REPOSITORY / words.FILE).read_text(encoding="utf-8"))
+    assert {"room", "door", "following"} <= listed.words.keys()
+    assert words.unused(listed, REPOSITORY) == []
 
 
 @pytest.mark.parametrize(
