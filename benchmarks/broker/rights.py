@@ -20,7 +20,7 @@ SECONDS_MAX = 600
 
 def measure(count: int = ROUNDS) -> dict[str, list[float]]:
     """Milliseconds of each round, by what was measured."""
-    return staged("delivery.rights_latency", count, SECONDS_MAX)
+    return staged("delivery.rights.rights_latency", count, SECONDS_MAX)
 
 
 def compare() -> list[Comparison]:

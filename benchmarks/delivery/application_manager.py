@@ -30,7 +30,7 @@ GateDecisions = Mapping[str, Sequence[float]]
 
 RECORD = PROJECT / "build" / "bench" / "application-manager.json"
 TESTS = PROJECT / "operator"  # the folder of the package `tests`
-STORM = "tests.stages.delivery.task_storm"
+STORM = "tests.stages.delivery.manager.task_storm"
 SOURCES = "operator/src"
 BEFORE = "85ece35"  # the last revision before composition was computed from scratch
 DECISIONS = 100

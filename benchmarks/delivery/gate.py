@@ -23,7 +23,7 @@ SECONDS_MAX = 600
 
 def measure() -> dict[str, list[float]]:
     """Milliseconds of each round, by what was measured."""
-    return staged("delivery.merge_latency", PLANS, SECONDS_MAX)
+    return staged("delivery.manager.merge_latency", PLANS, SECONDS_MAX)
 
 
 def p95(values: list[float]) -> float:

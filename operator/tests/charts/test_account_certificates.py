@@ -17,7 +17,7 @@ from robotkube.foundation.certificates.adapters.issuing import describe, issue, 
 from robotkube.foundation.certificates.core.lives import Pair
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from scenarios.runner.observing.broker import BrokerObserver
-from tests.stages.delivery.encrypted_broker import NAME, EncryptedBroker, Turned, running
+from tests.stages.delivery.rights.encrypted_broker import NAME, EncryptedBroker, Turned, running
 from tests.stages.paths import CHARTS
 from tests.stages.waiting import until
 

@@ -30,9 +30,9 @@ from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel
 from tests.stages import http_calls
 from tests.stages.attacks import shown
-from tests.stages.delivery.main_of_links import POSE_00, Main, bridge
-from tests.stages.delivery.mqtt_connection import ANSWER_SECONDS_MAX, NOT_AUTHORISED, Connection
-from tests.stages.delivery.rights_broker import PLUGIN, SETTINGS, open_accounts, plugin, run_mosquitto
+from tests.stages.delivery.rights.main_of_links import POSE_00, Main, bridge
+from tests.stages.delivery.rights.rights_broker import PLUGIN, SETTINGS, open_accounts, plugin, run_mosquitto
+from tests.stages.delivery.tasks.mqtt_connection import ANSWER_SECONDS_MAX, NOT_AUTHORISED, Connection
 from tests.stages.paths import CHARTS, SOURCE
 from tests.stages.programs import free_port
 from tests.stages.settings_mounted import mounted

@@ -20,8 +20,8 @@ from robotkube.foundation.certificates.adapters.verification import ServerVerifi
 from robotkube.registry.suites.adapters.broker_observer import PahoObserver
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.adapters.paho_channel import CLOSED
-from tests.stages.delivery.encrypted_broker import NAME, EncryptedBroker, Turned, running
-from tests.stages.delivery.rights_broker import password
+from tests.stages.delivery.rights.encrypted_broker import NAME, EncryptedBroker, Turned, running
+from tests.stages.delivery.rights.rights_broker import password
 from tests.stages.paths import CHARTS
 from tests.stages.waiting import WAIT_SECONDS_MAX, until
 

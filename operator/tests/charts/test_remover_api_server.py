@@ -46,7 +46,7 @@ from robotkube.registry.admission.core.listing import AllowedVersions
 from tests.charts.conftest import PLATFORM, Helm
 from tests.charts.test_admission import FILES
 from tests.stages import http_calls
-from tests.stages.delivery.inspected_node import CHART, IMAGE, RENDERED, VERIFIED, permitted
+from tests.stages.delivery.inspection.inspected_node import CHART, IMAGE, RENDERED, VERIFIED, permitted
 from tests.stages.kubernetes.installed_chart import Cluster, prepared_cluster
 from tests.stages.programs import free_port, program
 from tests.stages.settings_mounted import mounted

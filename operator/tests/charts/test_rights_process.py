@@ -27,9 +27,9 @@ from robotkube.setup import bootstrap
 from robotkube.setup.adapters.gitea_administration import GiteaAdministration
 from robotkube.setup.loops.bootstrap import Bootstrap
 from tests.charts.conftest import PLATFORM
-from tests.stages.delivery.main_of_links import POSE_01, bridge, texts
-from tests.stages.delivery.mqtt_connection import NOT_AUTHORISED, Connection
-from tests.stages.delivery.rights_broker import RightsBroker, password
+from tests.stages.delivery.rights.main_of_links import POSE_01, bridge, texts
+from tests.stages.delivery.rights.rights_broker import RightsBroker, password
+from tests.stages.delivery.tasks.mqtt_connection import NOT_AUTHORISED, Connection
 from tests.stages.forge.gitea import ForgeProcess
 from tests.stages.forge.installation import Clone
 from tests.stages.programs import free_port

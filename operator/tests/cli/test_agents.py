@@ -26,8 +26,8 @@ from robotkube.delivery.deployment.core.releases import Release
 from robotkube.delivery.rights.core.accounts import AgentAccount, ManagerAccount
 from robotkube.delivery.rights.core.origins import enrollments, revocations
 from robotkube.foundation.forge.adapters.git import GitHistory
-from tests.stages.delivery.main_of_links import POSE_00, POSE_01, bridge, texts
-from tests.stages.delivery.rights_broker import ACCOUNTS
+from tests.stages.delivery.rights.main_of_links import POSE_00, POSE_01, bridge, texts
+from tests.stages.delivery.rights.rights_broker import ACCOUNTS
 from tests.stages.kubernetes.api_calls import Api
 
 SIGNATURE = pygit2.Signature("manager", "manager@forge.invalid", 1_795_000_000, 0)

@@ -17,7 +17,7 @@ from robotkube.cli.main import main
 from robotkube.delivery.audit.adapters.html_page import page
 from robotkube.delivery.deployment.core.break_glass import ACCEPTED_PATH
 from robotkube.delivery.deployment.core.policies.initial import PATH
-from tests.stages.delivery.audited_platform import (
+from tests.stages.delivery.audit.audited_platform import (
     BEGAN,
     MINUTE,
     RECORDER,
@@ -28,7 +28,7 @@ from tests.stages.delivery.audited_platform import (
     plan_id,
     release,
 )
-from tests.stages.delivery.manipulations import LATER, break_glass
+from tests.stages.delivery.audit.manipulations import LATER, break_glass
 
 EVIL = "<script>alert('x')</script>"
 

@@ -18,7 +18,7 @@ from robotkube.delivery.manager.core.updates.states import WAITING, ReleaseUpdat
 from robotkube.delivery.manager.core.updates.steps import Updates
 from robotkube.delivery.manager.loops.explain import Explainer
 from robotkube.foundation.runtime.adapters.webhook_server import WebServer
-from tests.stages.delivery.manager_in_memory import Stage
+from tests.stages.delivery.manager.manager_in_memory import Stage
 
 PROXY = "/api/v1/namespaces/robotkube/services/manager:8080/proxy"
 TASKS = "/apis/robotkube.io/v1alpha1/taskdescriptions?limit=5000"

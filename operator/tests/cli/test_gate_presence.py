@@ -17,8 +17,8 @@ from robotkube.cli.main import main
 from robotkube.delivery.inspection.core.statuses import manifest, status_of
 from robotkube.delivery.inspection.core.strangers import Look, Stranger
 from robotkube.foundation.documents.core.times import time_text
-from tests.stages.delivery.audited_platform import Platform
-from tests.stages.delivery.manipulations import break_glass
+from tests.stages.delivery.audit.audited_platform import Platform
+from tests.stages.delivery.audit.manipulations import break_glass
 from tests.stages.kubernetes.served_objects import FORBIDDEN, serving
 
 DEPLOYMENTS = "/apis/apps/v1/namespaces/{}/deployments/{}"

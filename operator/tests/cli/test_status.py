@@ -14,8 +14,8 @@ from robotkube.delivery.deployment.core.break_glass import ACCEPTED_PATH
 from robotkube.delivery.deployment.core.merge_records import REFERENCE
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 from tests.stages.attacks import shown
-from tests.stages.delivery.audited_platform import Platform
-from tests.stages.delivery.manipulations import (
+from tests.stages.delivery.audit.audited_platform import Platform
+from tests.stages.delivery.audit.manipulations import (
     LATER,
     all_records_removed,
     break_glass,

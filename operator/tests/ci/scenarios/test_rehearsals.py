@@ -21,7 +21,7 @@ from scenarios.runner.judging import outcomes
 from scenarios.runner.observing.tasks import TaskWatch
 from scenarios.runner.playing import acting
 from scenarios.steps import read_steps
-from tests.stages.delivery.manager_in_memory import CHARTS, Stage
+from tests.stages.delivery.manager.manager_in_memory import CHARTS, Stage
 from tests.stages.paths import WIDEST
 
 APPLICATION = {"status": {"sync": {"status": "Synced"}, "health": {"status": "Healthy"}}}

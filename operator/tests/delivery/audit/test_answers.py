@@ -23,7 +23,7 @@ from robotkube.delivery.deployment.core.plan_notes import PlanOutcome, ReleaseOu
 from robotkube.delivery.deployment.core.releases import Release
 from robotkube.errors import InputError
 from robotkube.foundation.forge.adapters.git import GitHistory, fetch_history
-from tests.stages.delivery.audited_platform import (
+from tests.stages.delivery.audit.audited_platform import (
     BEGAN,
     MEETING,
     MINUTE,

@@ -7,7 +7,7 @@ import shutil
 import pytest
 
 from robotkube.delivery.audit.core.findings import MEANINGS
-from tests.stages.delivery.audited_platform import (
+from tests.stages.delivery.audit.audited_platform import (
     MINUTE,
     RECORDER,
     Platform,
@@ -17,7 +17,7 @@ from tests.stages.delivery.audited_platform import (
     plan_id,
     release,
 )
-from tests.stages.delivery.manipulations import (
+from tests.stages.delivery.audit.manipulations import (
     LATER,
     Manipulate,
     all_outcomes_removed,

@@ -6,7 +6,7 @@ from typing import Any
 
 from robotkube.delivery.deployment.core.break_glass import ACCEPTED_PATH
 from robotkube.delivery.deployment.core.policies.initial import PATH
-from tests.stages.delivery.audited_platform import (
+from tests.stages.delivery.audit.audited_platform import (
     APPLICATION,
     BEGAN,
     BRIDGE,
@@ -19,7 +19,7 @@ from tests.stages.delivery.audited_platform import (
     plan_id,
     release,
 )
-from tests.stages.delivery.manipulations import break_glass
+from tests.stages.delivery.audit.manipulations import break_glass
 from tests.stages.registry.submissions import application
 
 LATER = BEGAN + 60 * MINUTE

@@ -17,7 +17,7 @@ from robotkube.delivery.console.loops.model import ReadModel
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.core.batches import encode_batch
 from tests.delivery.console.test_poses import TOPIC, pose, sampler
-from tests.stages.delivery.mqtt_connection import Connection
+from tests.stages.delivery.tasks.mqtt_connection import Connection
 from tests.stages.waiting import until
 
 

@@ -22,8 +22,8 @@ from robotkube.delivery.deployment.core.unchecked_commits import (
 from robotkube.delivery.deployment.loops.unchecked_commits import RECHECK_SECONDS, Trust, UncheckedWatch
 from robotkube.errors import UnavailableError
 from robotkube.foundation.forge.adapters.git import GitClone
-from tests.stages.delivery.audited_platform import BEGAN, Repository
-from tests.stages.delivery.people import REPOSITORY, People
+from tests.stages.delivery.audit.audited_platform import BEGAN, Repository
+from tests.stages.delivery.gate.people import REPOSITORY, People
 from tests.stages.registry.signed_evidence import signing_key, trusting
 
 BOTH = ("ada", "grace")

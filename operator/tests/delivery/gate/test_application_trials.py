@@ -15,7 +15,7 @@ from robotkube.foundation.documents.core.yaml_codec import write_mapping
 from robotkube.registry.charts.core.references import ChartReference
 from robotkube.registry.evidence.core.application_statements import TrialResult
 from tests.stages.attacks import shown
-from tests.stages.delivery.trials import (
+from tests.stages.delivery.gate.trials import (
     FOREIGN,
     IMAGE,
     application,

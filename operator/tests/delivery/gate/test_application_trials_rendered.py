@@ -23,7 +23,7 @@ from robotkube.registry.charts.core.references import ChartReference
 from robotkube.registry.charts.loops.release_images import ReleaseObjects
 from robotkube.registry.publication.core.submissions import schema_text
 from robotkube.testing.publishing import MemoryChartRegistry
-from tests.stages.delivery.manager_in_memory import schema_file
+from tests.stages.delivery.manager.manager_in_memory import schema_file
 from tests.stages.forge.real_charts import IMAGE, chart_with_image_value
 from tests.stages.paths import CHARTS, DOCS, REGISTRY
 from tests.stages.programs import program

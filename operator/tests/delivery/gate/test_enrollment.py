@@ -11,7 +11,7 @@ from robotkube.delivery.gate.__main__ import FORMER_KEYS, read_configuration
 from robotkube.delivery.gate.core import proposal_checks
 from robotkube.foundation.runtime.settings_file import read_settings
 from tests.delivery.gate.test_proposal_checks import BRIDGE, PLAN, RULES, TIP, files, message, proposal
-from tests.stages.delivery.gate_settings import OCI_REGISTRY, settings_file
+from tests.stages.delivery.gate.gate_settings import OCI_REGISTRY, settings_file
 
 NEW = "vehicle-16"
 CLOSED = replace(RULES, namespaces=RULES.namespaces | {NEW, "vehicle-17"}, reserved=frozenset({NEW, "vehicle-17"}))

@@ -11,7 +11,7 @@ import pytest
 from robotkube.delivery.gate.__main__ import FORMER_KEYS, GateConfiguration, read_configuration
 from robotkube.errors import DocumentError
 from robotkube.foundation.runtime.settings_file import Listen, read_settings, warn_of_former_keys
-from tests.stages.delivery.gate_settings import OCI_REGISTRY, settings_file
+from tests.stages.delivery.gate.gate_settings import OCI_REGISTRY, settings_file
 
 
 def configuration(folder: Path, **keys: Any) -> GateConfiguration:

@@ -26,7 +26,7 @@ from robotkube.registry.catalogue.adapters.bounded_validation import BoundedSche
 from robotkube.registry.charts.adapters.chart_renderer import ChartRenderer
 from tests.stages import http_calls
 from tests.stages.attacks import shown
-from tests.stages.delivery.gate_settings import OCI_REGISTRY, settings_file
+from tests.stages.delivery.gate.gate_settings import OCI_REGISTRY, settings_file
 from tests.stages.random_json import mistaken
 from tests.stages.registry.signed_evidence import signing_key
 

@@ -9,7 +9,7 @@ from robotkube.delivery.inspection.core.pod_checks import strangers_on
 from robotkube.delivery.inspection.core.workload_checks import strangers_among
 from robotkube.registry.admission.core.allowed import Allowed
 from tests.stages.attacks import shown
-from tests.stages.delivery.inspected_node import (
+from tests.stages.delivery.inspection.inspected_node import (
     FOREIGN,
     FOREIGN_IMAGE,
     IMAGE,

@@ -17,7 +17,7 @@ from robotkube.delivery.inspection.loops.reporting import Reporter
 from robotkube.delivery.inspection.ports import NodeReading
 from robotkube.foundation.runtime.settings_file import split_message
 from tests.stages.attacks import shown
-from tests.stages.delivery.inspected_node import (
+from tests.stages.delivery.inspection.inspected_node import (
     CHART,
     FOREIGN_IMAGE,
     RENDERED,
@@ -27,7 +27,7 @@ from tests.stages.delivery.inspected_node import (
     pods,
     running,
 )
-from tests.stages.delivery.inspections_in_memory import (
+from tests.stages.delivery.inspection.inspections_in_memory import (
     Clock,
     InspectionsInMemory,
     NodesInMemory,

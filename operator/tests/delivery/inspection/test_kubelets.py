@@ -11,7 +11,7 @@ from robotkube.delivery.inspection.adapters.kubelets import Kubelets
 from robotkube.delivery.inspection.ports import NodeAddress, NodeReading
 from robotkube.errors import UnavailableError
 from robotkube.foundation.kubernetes.adapters.http_client import ApiServer
-from tests.stages.delivery.inspected_node import pod_object
+from tests.stages.delivery.inspection.inspected_node import pod_object
 from tests.stages.kubernetes.served_kubelets import ServedKubelet
 
 RUNNING = {"items": [{"metadata": {"uid": "u1"}, "spec": {"containers": [{"name": "detector"}]}}]}

@@ -9,7 +9,7 @@ from robotkube.delivery.inspection.core.strangers import KUBELET, RELEASES, Look
 from robotkube.delivery.inspection.core.workload_checks import strangers_among
 from robotkube.delivery.inspection.loops.reporting import Reporter
 from tests.delivery.inspection.test_pod_checks import _seen
-from tests.stages.delivery.inspected_node import FOREIGN_IMAGE, deployment, permitted, pod_object
+from tests.stages.delivery.inspection.inspected_node import FOREIGN_IMAGE, deployment, permitted, pod_object
 
 CHANGED = Stranger(
     "Deployment",

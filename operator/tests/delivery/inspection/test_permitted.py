@@ -18,7 +18,7 @@ from robotkube.foundation.forge.ports.repositories import Commit
 from robotkube.registry.admission.core.listing import AllowedVersions
 from robotkube.registry.charts.core.references import ChartReference
 from tests.stages.attacks import shown
-from tests.stages.delivery.inspected_node import (
+from tests.stages.delivery.inspection.inspected_node import (
     CHART,
     DOMAIN,
     FOREIGN_IMAGE,
@@ -28,7 +28,7 @@ from tests.stages.delivery.inspected_node import (
     pod_object,
     pods,
 )
-from tests.stages.delivery.inspections_in_memory import Clock
+from tests.stages.delivery.inspection.inspections_in_memory import Clock
 
 DIGEST = CHART.partition("@")[2]
 FIRST, SECOND, THIRD, FOURTH = (f"20260301-12000{number}-aaaaaa" for number in range(1, 5))

@@ -10,7 +10,7 @@ import pytest
 from robotkube.delivery.inspection.core.permitted import ReleaseShape
 from robotkube.delivery.inspection.core.pod_checks import strangers_on
 from robotkube.delivery.inspection.core.strangers import Stranger
-from tests.stages.delivery.inspected_node import (
+from tests.stages.delivery.inspection.inspected_node import (
     CHART,
     FOREIGN,
     FOREIGN_IMAGE,

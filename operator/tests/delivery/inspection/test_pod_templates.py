@@ -11,7 +11,7 @@ import pytest
 from robotkube.delivery.inspection.core.permitted import ReleaseShape
 from robotkube.delivery.inspection.core.pod_checks import strangers_on
 from robotkube.delivery.inspection.core.pod_templates import LIMIT_RANGER, TOKEN, TOKEN_PATH, TOLERATIONS
-from tests.stages.delivery.inspected_node import CHART, IMAGE, NOW, RENDERED, permitted, pod_object, pods
+from tests.stages.delivery.inspection.inspected_node import CHART, IMAGE, NOW, RENDERED, permitted, pod_object, pods
 
 Object = dict[str, Any]
 SCRIPT = {"exec": {"command": ["sh", "/script/run"]}}

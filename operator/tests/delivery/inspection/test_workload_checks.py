@@ -11,7 +11,7 @@ from robotkube.delivery.inspection.core.comparison import differences
 from robotkube.delivery.inspection.core.permitted import ReleaseShape
 from robotkube.delivery.inspection.core.workload_checks import strangers_among
 from robotkube.registry.admission.core.allowed import Allowed
-from tests.stages.delivery.inspected_node import CHART, IMAGE, RENDERED, VERIFIED, deployment, permitted
+from tests.stages.delivery.inspection.inspected_node import CHART, IMAGE, RENDERED, VERIFIED, deployment, permitted
 
 
 def _changed(path: str, value: Any) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from robotkube.delivery.inspection.loops.looks import ReleaseLooks
 from robotkube.foundation.kubernetes.adapters.http_client import ApiServer
 from robotkube.registry.admission.core.allowed import Allowed
 from tests.stages.attacks import shown
-from tests.stages.delivery.inspected_node import CHART, DOMAIN, RENDERED, VERIFIED
+from tests.stages.delivery.inspection.inspected_node import CHART, DOMAIN, RENDERED, VERIFIED
 from tests.stages.kubernetes.judged_api_server import MERGE, Api, judged_api_server
 from tests.stages.paths import REPOSITORY
 from tests.stages.waiting import until

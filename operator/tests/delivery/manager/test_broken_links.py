@@ -17,7 +17,7 @@ from robotkube.delivery.tasks.ports.mqtt_gateway import GatewayMessage
 from robotkube.robots.bridge.core.link_reports import LinkFault, LinkReport
 from robotkube.testing.clusters import MemoryTasks
 from robotkube.testing.task_gateways import MemoryGatewayChannel, MemoryTaskWriter
-from tests.stages.delivery.manager_in_memory import START_NS, Stage
+from tests.stages.delivery.manager.manager_in_memory import START_NS, Stage
 
 BRIDGE = "vehicle-00/mqtt-bridge"
 POD = PodState("vehicle-00", "mqtt-bridge-0", BRIDGE, containers=(ContainerState("mqtt-bridge", started_ns=5),))

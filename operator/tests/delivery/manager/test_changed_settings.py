@@ -11,7 +11,7 @@ from robotkube.delivery.manager.adapters.kubernetes_cluster import read_applicat
 from robotkube.delivery.manager.core.changed_settings import PROBED_NS, SECOND_NS, SettingsProofs
 from robotkube.delivery.manager.core.observation import ApplicationState, ContainerState, PodState
 from robotkube.delivery.manager.loops.reconciler import APPLICATIONS
-from tests.stages.delivery.manager_in_memory import START_NS, Stage
+from tests.stages.delivery.manager.manager_in_memory import START_NS, Stage
 
 OLD = ContainerState("relay", probed=True, ready=True, started_ns=START_NS - SECOND_NS)
 

@@ -9,7 +9,7 @@ import pytest
 from robotkube.delivery.manager.core.decision_history import ENTRIES_MAX, MESSAGE_CHARACTERS_MAX, with_decision
 from robotkube.delivery.tasks.core.refusal_outlooks import outlook, with_outlook, without_outlook
 from robotkube.delivery.tasks.core.task_description import REFUSAL_REASONS, SETTLED_REASONS
-from tests.stages.delivery.manager_in_memory import Stage
+from tests.stages.delivery.manager.manager_in_memory import Stage
 
 
 def history(stage: Stage, key: str) -> list[dict[str, Any]]:

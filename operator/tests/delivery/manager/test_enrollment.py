@@ -13,7 +13,7 @@ from robotkube.delivery.manager.core.placement.scopes import DeclaredManager, Op
 from robotkube.delivery.manager.loops.reconciler import DEPLOYMENT
 from robotkube.errors import InputError
 from robotkube.foundation.forge.core.resync import RESYNC_SECONDS
-from tests.stages.delivery.manager_in_memory import Stage
+from tests.stages.delivery.manager.manager_in_memory import Stage
 
 NEW = "vehicle-16"
 ENROLLED = {PATH: f"agents: [{{name: {NEW}, role: vehicle}}]\n"}

@@ -15,7 +15,7 @@ from robotkube.delivery.manager.loops.reconciler import DEPLOYMENT
 from robotkube.delivery.tasks.core.holds import DeviceHold
 from robotkube.errors import UnavailableError
 from robotkube.testing.clusters import MemoryTasks
-from tests.stages.delivery.manager_in_memory import START_NS, Stage
+from tests.stages.delivery.manager.manager_in_memory import START_NS, Stage
 
 METADATA = b'{"metadata": {"name": "new", "namespace": "cloud-0", %s}}'
 EVENT = {"rule": "asked", "id": "x", "trace": "b" * 32, "time": "2026-11-21T10:00:00Z"}

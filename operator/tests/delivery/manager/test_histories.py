@@ -34,7 +34,7 @@ from robotkube.delivery.tasks.core.task_description import (
 from robotkube.foundation.forge.ports.pull_requests import PullRequest
 from robotkube.foundation.kubernetes.core.annotations import RENEWED_ANNOTATION
 from robotkube.testing.forges import MemoryForge, MemoryRepository
-from tests.stages.delivery.manager_in_memory import START_NS, Stage
+from tests.stages.delivery.manager.manager_in_memory import START_NS, Stage
 from tests.stages.examples import EXAMPLES
 
 VEHICLES = 3

@@ -13,7 +13,7 @@ from robotkube.delivery.manager.core.standing_demands import moment
 from robotkube.delivery.tasks.core.refusal_outlooks import without_outlook
 from robotkube.foundation.forge.core.resync import RESYNC_SECONDS
 from robotkube.foundation.kubernetes.core.annotations import RENEWED_ANNOTATION
-from tests.stages.delivery.manager_in_memory import START_NS, Stage
+from tests.stages.delivery.manager.manager_in_memory import START_NS, Stage
 
 FIRST, SECOND, THIRD = ("vehicle-00", "vehicle-01"), ("vehicle-01", "vehicle-02"), ("vehicle-00", "vehicle-02")
 

@@ -21,7 +21,7 @@ from robotkube.foundation.forge.ports.repositories import Commit
 from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalogue
 from robotkube.testing.clusters import MemoryTasks
 from tests.stages.attacks import shown
-from tests.stages.delivery.manager_in_memory import CHARTS, Stage
+from tests.stages.delivery.manager.manager_in_memory import CHARTS, Stage
 
 SOUTH = frozenset({"vehicle-00", "vehicle-01", "cloud-0"})
 NORTH = frozenset({"vehicle-02", "cloud-1"})

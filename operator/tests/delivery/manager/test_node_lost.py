@@ -7,7 +7,7 @@ from dataclasses import replace
 from robotkube.delivery.manager.core.observation import PodState
 from robotkube.delivery.manager.core.placement.placement import Agent, NodeState
 from robotkube.delivery.manager.loops.reconciler import APPLICATIONS, NODES
-from tests.stages.delivery.manager_in_memory import MEETING, START_NS, Stage
+from tests.stages.delivery.manager.manager_in_memory import MEETING, START_NS, Stage
 
 RECORDER = "recorder-vehicle-00-vehicle-01"
 

@@ -22,7 +22,7 @@ from robotkube.errors import UnavailableError
 from robotkube.foundation.forge.core.resync import RESYNC_SECONDS
 from robotkube.testing.clusters import MemoryTasks
 from robotkube.testing.task_gateways import MemoryGatewayChannel, MemoryTaskWriter
-from tests.stages.delivery.manager_in_memory import START_NS, Stage
+from tests.stages.delivery.manager.manager_in_memory import START_NS, Stage
 
 SOUTH = ("vehicle-00", "vehicle-01", "cloud-0")
 NORTH = ("vehicle-02", "cloud-1")

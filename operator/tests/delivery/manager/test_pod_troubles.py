@@ -10,7 +10,7 @@ from robotkube.delivery.deployment.core.releases import application_name
 from robotkube.delivery.manager.adapters.pod_states import WORDS_CHARACTERS_MAX, placed, read_pod
 from robotkube.delivery.manager.core.pod_troubles import pod_troubles
 from robotkube.delivery.manager.loops.reconciler import APPLICATIONS
-from tests.stages.delivery.manager_in_memory import Stage
+from tests.stages.delivery.manager.manager_in_memory import Stage
 
 ENDED = {"terminated": {"reason": "Error", "exitCode": 2, "finishedAt": "2026-11-26T13:46:02Z"}}
 BACK_OFF = {"waiting": {"reason": "CrashLoopBackOff", "message": "back-off 20s restarting failed container"}}

@@ -21,7 +21,7 @@ from robotkube.delivery.manager.core.updates.probe_answers import (
 )
 from robotkube.delivery.manager.loops.updates.first_runs import FirstHealthy
 from robotkube.foundation.documents.core.times import time_ns
-from tests.stages.delivery.update_fleet import release
+from tests.stages.delivery.manager.update_fleet import release
 
 AT = "2026-11-21T10:00:00Z"
 AT_NS = time_ns(AT)

@@ -10,8 +10,8 @@ import pytest
 
 from robotkube.delivery.manager.loops.task_status import MESSAGE_CHARACTERS_MAX
 from robotkube.delivery.tasks.core.task_description import PROBLEM_CHARACTERS_MAX, PROBLEMS_MAX, REASONS
-from tests.stages.delivery.manager_in_memory import Stage
-from tests.stages.delivery.random_tasks import random_task
+from tests.stages.delivery.manager.manager_in_memory import Stage
+from tests.stages.delivery.tasks.random_tasks import random_task
 from tests.stages.examples import EXAMPLES
 
 STATUS_CHARACTERS_MAX = 8 * MESSAGE_CHARACTERS_MAX

@@ -22,7 +22,7 @@ from robotkube.delivery.manager.loops.reconciler import (
 )
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.forge.core.resync import RESYNC_SECONDS, RESYNC_SECONDS_BUSY
-from tests.stages.delivery.manager_in_memory import MEETING, Stage
+from tests.stages.delivery.manager.manager_in_memory import MEETING, Stage
 
 
 def test_the_initial_configuration_is_proposed_merged_and_observed(stage: Stage) -> None:

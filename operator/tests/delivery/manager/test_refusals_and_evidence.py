@@ -15,7 +15,7 @@ from robotkube.delivery.manager.loops.reconciler import CATALOGUE, DEPLOYMENT
 from robotkube.errors import InputError, RefusalError
 from robotkube.registry.catalogue.core.catalogue import read_catalogue
 from robotkube.testing.clusters import MemoryTasks
-from tests.stages.delivery.manager_in_memory import MEETING, Stage
+from tests.stages.delivery.manager.manager_in_memory import MEETING, Stage
 
 
 def test_a_refused_plan_is_reported_and_not_repeated_until_its_inputs_change(stage: Stage) -> None:

@@ -16,8 +16,8 @@ from robotkube.foundation.runtime.core.webhook_deliveries import sign
 from robotkube.foundation.runtime.settings_file import read_settings
 from robotkube.testing.clusters import MemoryTasks
 from tests.stages import http_calls
-from tests.stages.delivery.manager_in_memory import Stage
-from tests.stages.delivery.manager_process import Outside, write_settings
+from tests.stages.delivery.manager.manager_in_memory import Stage
+from tests.stages.delivery.manager.manager_process import Outside, write_settings
 from tests.stages.random_json import mistaken
 
 SECRET = b"webhook secret"

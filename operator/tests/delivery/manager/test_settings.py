@@ -11,7 +11,7 @@ import yaml
 from robotkube.delivery.manager.__main__ import FORMER_KEYS, read_configuration, renderer_of
 from robotkube.errors import DocumentError
 from robotkube.foundation.runtime.settings_file import read_settings, warn_of_former_keys
-from tests.stages.delivery.manager_process import Outside, write_settings
+from tests.stages.delivery.manager.manager_process import Outside, write_settings
 
 FORGE, CHARTS = "http://forge.example:3000", "oci://forge.example:3000/verified"
 OUTSIDE = Outside(FORGE, "password", "webhook secret", Path("/etc/robotkube/keys"), CHARTS, "http://nowhere.example")

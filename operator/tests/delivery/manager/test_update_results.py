@@ -11,7 +11,7 @@ from robotkube.delivery.manager.core.updates.cluster_health import DEGRADED, HEA
 from robotkube.delivery.manager.core.updates.probe_answers import ProbeAnswers
 from robotkube.delivery.manager.core.updates.rule_events import Watcher
 from robotkube.registry.catalogue.core.success.measures import SuccessMeasure, TopicRate
-from tests.stages.delivery.update_fleet import (
+from tests.stages.delivery.manager.update_fleet import (
     BRIDGES,
     CANARY,
     DETECTION,

@@ -21,7 +21,7 @@ from robotkube.delivery.manager.core.updates.cluster_health import (
 )
 from robotkube.delivery.manager.core.updates.steps import moved
 from robotkube.errors import DocumentError
-from tests.stages.delivery.update_fleet import (
+from tests.stages.delivery.manager.update_fleet import (
     BOTH,
     BRIDGE,
     BRIDGES,

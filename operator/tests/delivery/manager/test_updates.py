@@ -23,7 +23,7 @@ from robotkube.foundation.documents.core.digests import sha256
 from robotkube.registry.charts.core.packing import published_digest
 from robotkube.registry.evidence.adapters.dsse import KeyFile
 from robotkube.registry.evidence.core.statements import Artefact, Listing
-from tests.stages.delivery.manager_in_memory import REGISTRY, START_NS, Stage, schema_file
+from tests.stages.delivery.manager.manager_in_memory import REGISTRY, START_NS, Stage, schema_file
 from tests.stages.registry.signed_evidence import PLATFORM, POLICY_TEXT, Signing
 
 BRIDGE = "mqtt-bridge"

@@ -16,7 +16,7 @@ from robotkube.registry.charts.core.packing import PulledChart
 from robotkube.registry.charts.core.references import ChartReference
 from robotkube.registry.charts.loops.release_images import ReleaseImages
 from tests.stages.attacks import shown
-from tests.stages.delivery.manager_in_memory import Stage
+from tests.stages.delivery.manager.manager_in_memory import Stage
 
 IMAGE, FOREIGN = "forge:3000/ros@sha256:" + "3" * 64, "elsewhere:5000/miner@sha256:" + "4" * 64
 RECORDER = "cloud-0/recorder-vehicle-00-vehicle-01"

@@ -21,7 +21,7 @@ from robotkube.delivery.deployment.core.releases import write_release
 from robotkube.delivery.manager.core.plans import Plan
 from robotkube.delivery.manager.loops.reconciler import ATTEMPTS_MAX, DEPLOYMENT, MAIN_SECONDS
 from robotkube.foundation.forge.core.resync import QUIET_SECONDS, RESYNC_SECONDS
-from tests.stages.delivery.manager_in_memory import MEETING, Stage
+from tests.stages.delivery.manager.manager_in_memory import MEETING, Stage
 
 BRIDGE = "releases/vehicle-00/mqtt-bridge.yaml"
 

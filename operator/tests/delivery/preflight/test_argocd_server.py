@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from robotkube.delivery.preflight.core.findings import FAILED, NOT_CHECKED, OK, ClusterFinding, Unread
-from tests.stages.delivery.preflight_facts import argo_cd, facts, finding, part_of_argo_cd, said
+from tests.stages.delivery.preflight.preflight_facts import argo_cd, facts, finding, part_of_argo_cd, said
 
 CERTIFICATE = {"argocd": {"server": {"authorities": "-----BEGIN CERTIFICATE-----"}}}
 

@@ -25,7 +25,7 @@ from robotkube.delivery.preflight.core.releases import HelmRevision, PresentObje
 from robotkube.delivery.preflight.core.renderings import RenderedChart
 from robotkube.delivery.preflight.core.storage import Storage
 from robotkube.delivery.preflight.core.values import Judgement
-from tests.stages.delivery.preflight_facts import (
+from tests.stages.delivery.preflight.preflight_facts import (
     AGENTS,
     DEFAULT_CLASS,
     argo_cd,

@@ -18,7 +18,7 @@ from robotkube.delivery.preflight import facts as preflight_facts
 from robotkube.delivery.preflight.core.findings import FAILED, NOT_CHECKED, OK
 from robotkube.delivery.preflight.core.renderings import OF_THE_CLUSTER, plural
 from robotkube.delivery.preflight.core.rights import RBAC, needed_rights
-from tests.stages.delivery.preflight_facts import AGENTS, DEFAULT_CLASS, argo_cd, node, rendering
+from tests.stages.delivery.preflight.preflight_facts import AGENTS, DEFAULT_CLASS, argo_cd, node, rendering
 from tests.stages.kubernetes.installed_chart import CHART, Cluster, prepared_cluster
 from tests.stages.paths import REPOSITORY
 from tests.stages.programs import program

@@ -20,8 +20,8 @@ import yaml
 from robotkube.cli.main import EXIT_REFUSED, main
 from robotkube.delivery.preflight import facts as preflight_facts
 from robotkube.delivery.preflight.core.findings import FAILED, NOT_CHECKED, OK
-from tests.stages.delivery.preflight_facts import AGENTS, node
-from tests.stages.delivery.probed_nodes import answer
+from tests.stages.delivery.preflight.preflight_facts import AGENTS, node
+from tests.stages.delivery.preflight.probed_nodes import answer
 from tests.stages.kubernetes.controllers import controlling
 from tests.stages.kubernetes.installed_chart import CHART, Cluster, prepared_cluster
 from tests.stages.paths import REPOSITORY

@@ -11,8 +11,8 @@ from robotkube.delivery.preflight.core.probing.answers import DiskSpace
 from robotkube.delivery.preflight.core.probing.checks import PROBE_CHECKS
 from robotkube.delivery.preflight.core.probing.outcomes import NodeOutcome, Probed
 from robotkube.delivery.preflight.core.probing.targets import probe_target
-from tests.stages.delivery.preflight_facts import AGENTS, rendering
-from tests.stages.delivery.probed_nodes import (
+from tests.stages.delivery.preflight.preflight_facts import AGENTS, rendering
+from tests.stages.delivery.preflight.probed_nodes import (
     API,
     BROKER,
     GIB,

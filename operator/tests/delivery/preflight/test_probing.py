@@ -20,7 +20,7 @@ from robotkube.delivery.preflight.loops.probing import (
 )
 from robotkube.errors import InputError, UnavailableError
 from robotkube.registry.suites.core.pod_security import RULES, Pod
-from tests.stages.delivery.probed_nodes import NODES, TARGET, answer
+from tests.stages.delivery.preflight.probed_nodes import NODES, TARGET, answer
 
 Object = dict[str, Any]
 PULL = {"waiting": {"reason": "ImagePullBackOff", "message": "Back-off pulling image"}}

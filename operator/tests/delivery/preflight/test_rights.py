@@ -12,7 +12,7 @@ from robotkube.delivery.preflight.core.findings import FAILED, OK
 from robotkube.delivery.preflight.core.rights import GIVING_VERBS, RBAC, NeededRights, Reviewed, needed_rights, rights
 from robotkube.errors import UnavailableError
 from robotkube.foundation.kubernetes.core.access_rights import ApiRight, covers
-from tests.stages.delivery.preflight_facts import finding, rendering
+from tests.stages.delivery.preflight.preflight_facts import finding, rendering
 
 SECRETS = ApiRight("create", "", "secrets", "vehicle-00")
 PODS = ApiRight("get", "", "pods", "vehicle-00")

@@ -7,7 +7,7 @@ from typing import Any
 from robotkube.delivery.preflight.core.checks import CHECKS
 from robotkube.delivery.preflight.core.findings import FAILED, OK, ClusterFinding
 from robotkube.foundation.kubernetes.core.node_agents import NodeAgent
-from tests.stages.delivery.preflight_facts import AGENTS, facts, node
+from tests.stages.delivery.preflight.preflight_facts import AGENTS, facts, node
 
 NODES = [node(name, role) for name, role in AGENTS.items()]
 

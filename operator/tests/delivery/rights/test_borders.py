@@ -11,10 +11,10 @@ import pytest
 from robotkube.delivery.deployment.core.policies.links import path_of
 from robotkube.delivery.rights.core.accounts import ManagerAccount
 from tests.stages.attacks import shown
-from tests.stages.delivery.kept_rights import KeptRights
-from tests.stages.delivery.main_of_links import POSE_00, POSE_01, bridge
-from tests.stages.delivery.mqtt_connection import ANSWER_SECONDS_MAX, NOT_AUTHORISED
-from tests.stages.delivery.rights_broker import ACCOUNTS
+from tests.stages.delivery.rights.kept_rights import KeptRights
+from tests.stages.delivery.rights.main_of_links import POSE_00, POSE_01, bridge
+from tests.stages.delivery.rights.rights_broker import ACCOUNTS
+from tests.stages.delivery.tasks.mqtt_connection import ANSWER_SECONDS_MAX, NOT_AUTHORISED
 
 pytestmark = pytest.mark.processes
 

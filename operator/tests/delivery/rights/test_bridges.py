@@ -13,8 +13,8 @@ from benchmarks.measuring.bags import message
 from robotkube.robots.ros.core.common_messages import header_stamp
 from tests.stages.attacks import shown
 from tests.stages.bridge.two_bridges import Side
-from tests.stages.delivery.kept_rights import KeptRights
-from tests.stages.delivery.main_of_links import POSE_00, bridge
+from tests.stages.delivery.rights.kept_rights import KeptRights
+from tests.stages.delivery.rights.main_of_links import POSE_00, bridge
 from tests.stages.waiting import until
 
 pytestmark = pytest.mark.processes

@@ -9,9 +9,9 @@ import pytest
 from robotkube.delivery.rights.core.control import REQUESTS, RESPONSES
 from robotkube.delivery.rights.loops import keeper as keeping
 from tests.stages.attacks import shown
-from tests.stages.delivery.kept_rights import KeptRights
-from tests.stages.delivery.main_of_links import POSE_00, POSE_01, bridge
-from tests.stages.delivery.mqtt_connection import NOT_AUTHORISED, Connection
+from tests.stages.delivery.rights.kept_rights import KeptRights
+from tests.stages.delivery.rights.main_of_links import POSE_00, POSE_01, bridge
+from tests.stages.delivery.tasks.mqtt_connection import NOT_AUTHORISED, Connection
 from tests.stages.waiting import until
 
 pytestmark = pytest.mark.processes

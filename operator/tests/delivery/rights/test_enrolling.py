@@ -18,9 +18,9 @@ from robotkube.delivery.deployment.core.policies.agents import read_enrolled
 from robotkube.delivery.rights.core.accounts import AgentAccount
 from robotkube.foundation.forge.adapters.git import GitClone
 from tests.delivery.rights.test_revoking import ENDED_SECONDS_MAX, Person
-from tests.stages.delivery.kept_rights import KeptRights
-from tests.stages.delivery.mqtt_connection import NOT_AUTHORISED
-from tests.stages.delivery.rights_broker import ACCOUNTS
+from tests.stages.delivery.rights.kept_rights import KeptRights
+from tests.stages.delivery.rights.rights_broker import ACCOUNTS
+from tests.stages.delivery.tasks.mqtt_connection import NOT_AUTHORISED
 from tests.stages.forge.installation import RESERVED, Installation, RunningGate
 from tests.stages.kubernetes.api_calls import Api
 from tests.stages.waiting import until

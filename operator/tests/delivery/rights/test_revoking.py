@@ -14,8 +14,8 @@ import pytest
 from robotkube.cli.main import main
 from robotkube.delivery.deployment.core.policies.revoked import read_revoked
 from robotkube.foundation.forge.adapters.git import GitClone
-from tests.stages.delivery.kept_rights import KeptRights
-from tests.stages.delivery.mqtt_connection import NOT_AUTHORISED
+from tests.stages.delivery.rights.kept_rights import KeptRights
+from tests.stages.delivery.tasks.mqtt_connection import NOT_AUTHORISED
 from tests.stages.forge.installation import Installation, RunningGate
 from tests.stages.waiting import until
 

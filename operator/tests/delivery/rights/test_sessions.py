@@ -9,11 +9,11 @@ import pytest
 
 from robotkube.robots.mqtt.core.client_ids import client_id
 from tests.stages.attacks import shown
-from tests.stages.delivery.agent_telemetry import AgentTelemetry, connection_of
-from tests.stages.delivery.kept_rights import KeptRights
-from tests.stages.delivery.main_of_links import POSE_01, bridge
-from tests.stages.delivery.mqtt_connection import Connection
-from tests.stages.delivery.rights_broker import RightsBroker, password
+from tests.stages.delivery.rights.agent_telemetry import AgentTelemetry, connection_of
+from tests.stages.delivery.rights.kept_rights import KeptRights
+from tests.stages.delivery.rights.main_of_links import POSE_01, bridge
+from tests.stages.delivery.rights.rights_broker import RightsBroker, password
+from tests.stages.delivery.tasks.mqtt_connection import Connection
 from tests.stages.waiting import until
 
 pytestmark = pytest.mark.processes

@@ -42,8 +42,8 @@ from robotkube.delivery.rights.core.grants import MainTable, granted, main_table
 from robotkube.errors import DocumentError
 from robotkube.robots.bridge.core.rights import IN, OUT, may, may_anybody
 from robotkube.robots.bridge.core.settings import GATEWAY_TOPICS
-from tests.stages.delivery.main_of_links import POSE_00, POSE_01, bridge, release, texts
-from tests.stages.delivery.rights_broker import ACCOUNTS
+from tests.stages.delivery.rights.main_of_links import POSE_00, POSE_01, bridge, release, texts
+from tests.stages.delivery.rights.rights_broker import ACCOUNTS
 
 FIXED = fixed_rights(ACCOUNTS)
 ROLES = wanted_roles(FIXED)

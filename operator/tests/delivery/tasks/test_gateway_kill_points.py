@@ -18,7 +18,7 @@ from paho.mqtt.enums import CallbackAPIVersion
 from benchmarks.measuring import pods
 from robotkube.delivery.tasks.adapters import kubernetes_tasks, paho_gateway
 from robotkube.writes import WRITES
-from tests.stages.delivery.manager_process import Outside, Pod, write_settings
+from tests.stages.delivery.manager.manager_process import Outside, Pod, write_settings
 from tests.stages.kubernetes.api_calls import TASKS, Api
 from tests.stages.programs import free_port
 from tests.stages.waiting import until

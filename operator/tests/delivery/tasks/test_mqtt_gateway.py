@@ -30,7 +30,7 @@ from robotkube.errors import DocumentError, InputError, UnavailableError
 from robotkube.foundation.runtime.adapters.prometheus_series import series_text
 from robotkube.testing.clusters import MemoryTasks
 from robotkube.testing.task_gateways import MemoryGatewayChannel, MemoryTaskWriter
-from tests.stages.delivery.random_messages import ASKED, SPEC, random_message
+from tests.stages.delivery.tasks.random_messages import ASKED, SPEC, random_message
 from tests.stages.examples import EXAMPLES
 from tests.stages.random_json import mistaken
 

@@ -23,7 +23,7 @@ from robotkube.delivery.tasks.core.mqtt_messages import GATEWAY_REASONS
 from robotkube.delivery.tasks.loops.mqtt_gateway import MqttTaskGateway
 from robotkube.foundation.kubernetes.adapters.client import api_client, call
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
-from tests.stages.delivery.random_messages import random_message
+from tests.stages.delivery.tasks.random_messages import random_message
 from tests.stages.kubernetes.api_calls import TASKS, Api
 from tests.stages.kubernetes.api_server import ApiServerProcess
 from tests.stages.waiting import until

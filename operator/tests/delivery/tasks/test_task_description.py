@@ -20,7 +20,7 @@ from robotkube.delivery.tasks.core.task_description import (
 from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.times import time_ns
 from robotkube.foundation.kubernetes.core.annotations import RENEWED_ANNOTATION
-from tests.stages.delivery.random_tasks import good
+from tests.stages.delivery.tasks.random_tasks import good
 from tests.stages.paths import REPOSITORY
 
 PAGE = REPOSITORY / "docs/reference/task-description.md"

@@ -16,8 +16,8 @@ from robotkube.delivery.manager.core.placement.placement import Agent, NodeState
 from scenarios.definition import cloud_topic
 from scenarios.generator.messages import CLOUD_TYPE
 from scenarios.generator.scene import Place
-from tests.stages.delivery.manager_in_memory import Stage
-from tests.stages.delivery.running_releases import RunningReleases
+from tests.stages.delivery.manager.manager_in_memory import Stage
+from tests.stages.delivery.manager.running_releases import RunningReleases
 from tests.stages.platform.table_one import NUMBER, POSES, TEXT
 from tests.stages.ros import lidar_clouds
 from tests.stages.scenarios.corner import ABOVE, BELOW, BLOCKED, CLEAR, SITE, SITES, VEHICLE, View, cloud, hidden_among

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.stages.delivery.audited_platform import Platform, make_platform
-from tests.stages.delivery.manager_in_memory import Stage
+from tests.stages.delivery.audit.audited_platform import Platform, make_platform
+from tests.stages.delivery.manager.manager_in_memory import Stage
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ import pytest
 from robotkube.foundation.kubernetes.adapters.client import api_client
 from robotkube.setup.adapters.gitea_administration import GiteaAdministration
 from robotkube.setup.loops.bootstrap import Bootstrap
-from tests.stages.delivery.manager_process import AGENTS
+from tests.stages.delivery.manager.manager_process import AGENTS
 from tests.stages.forge.gitea import ForgeProcess
 from tests.stages.forge.installation import (
     ACCOUNTS,

@@ -37,7 +37,7 @@ from robotkube.registry.charts.core.references import ChartReference
 from robotkube.registry.charts.ports import RenderedImages
 from robotkube.setup.loops.bootstrap import ForgeAccount, ForgeSetup, Organisation, Repository, Webhook
 from tests.stages import http_calls
-from tests.stages.delivery.manager_process import Outside
+from tests.stages.delivery.manager.manager_process import Outside
 from tests.stages.forge.catalogue_evidence import (
     applications,
     key_folder,

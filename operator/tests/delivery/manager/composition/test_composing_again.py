@@ -23,7 +23,7 @@ from robotkube.foundation.documents.adapters.json_schema import validate
 from robotkube.registry.catalogue.core.catalogue import Catalogue
 from robotkube.registry.catalogue.core.guarantees import GuaranteeRequirement
 from robotkube.testing.synthetic import Synthetic, demands, synthetic
-from tests.stages.delivery.placement import (
+from tests.stages.delivery.manager.placement import (
     NODES,
     ONE,
     PLAIN,

@@ -13,7 +13,7 @@ from robotkube.delivery.manager.core.composition.inputs import Inputs
 from robotkube.delivery.manager.core.placement.capacity import Resources
 from robotkube.delivery.manager.core.placement.placement import Agent, NodeState, fleet
 from robotkube.foundation.kubernetes.core.node_agents import NodeAgent
-from tests.stages.delivery.placement import (
+from tests.stages.delivery.manager.placement import (
     AGENTS,
     NODES,
     ONE,

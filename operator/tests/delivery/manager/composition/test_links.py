@@ -13,7 +13,7 @@ from robotkube.delivery.tasks.core.task_description import TaskPlacement
 from robotkube.foundation.documents.adapters.json_schema import validate
 from robotkube.robots.bridge.core.rights import IN, OUT, may
 from tests.stages.attacks import shown
-from tests.stages.delivery.placement import RENDER, application, catalogue, chart, demand, task
+from tests.stages.delivery.manager.placement import RENDER, application, catalogue, chart, demand, task
 
 NAMES = [("vehicle-00", "vehicle"), ("vehicle-01", "vehicle"), ("roadside-0", "roadside"), ("cloud-0", "cloud")]
 NAMES += [("cloud-1", "cloud")]

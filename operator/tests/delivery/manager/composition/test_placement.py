@@ -14,7 +14,7 @@ from robotkube.delivery.manager.core.placement.capacity import Resources
 from robotkube.delivery.manager.core.placement.placement import Agent, NodeState, fleet, next_loss_ns
 from robotkube.delivery.manager.core.plans import differences, lost_node_text
 from robotkube.delivery.tasks.core.task_description import TaskPlacement
-from tests.stages.delivery.placement import (
+from tests.stages.delivery.manager.placement import (
     NODES,
     ONE,
     PLAIN,

@@ -12,7 +12,7 @@ from robotkube.delivery.manager.core.conflicts import History, resolve
 from robotkube.delivery.manager.core.placement.placement import Agent, NodeState, fleet
 from robotkube.delivery.tasks.core.task_description import PREEMPT
 from robotkube.foundation.documents.adapters.json_schema import validate
-from tests.stages.delivery.placement import RENDER, application, catalogue, chart, demand, task
+from tests.stages.delivery.manager.placement import RENDER, application, catalogue, chart, demand, task
 
 AGENTS = [Agent("vehicle-00", "vehicle", "vehicle-00"), Agent("cloud-0", "cloud", "cloud-0")]
 NODES = [NodeState(agent.name, agent.name, agent.role, frozenset(), True) for agent in AGENTS]

@@ -9,7 +9,7 @@ import pytest
 
 from robotkube.delivery.manager.core.composition.composer import Demand, Met, compose
 from robotkube.registry.catalogue.core.guarantees import GuaranteeRequirement
-from tests.stages.delivery.placement import (
+from tests.stages.delivery.manager.placement import (
     NODES,
     ONE,
     application,

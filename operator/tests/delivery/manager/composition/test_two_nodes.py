@@ -16,7 +16,7 @@ from robotkube.delivery.manager.core.placement.placement import NodeState, fleet
 from robotkube.delivery.manager.core.plans import differences, lost_node_text
 from robotkube.foundation.documents.adapters.json_schema import validate
 from robotkube.robots.ros.core.topic_patterns import ros_name
-from tests.stages.delivery.placement import (
+from tests.stages.delivery.manager.placement import (
     AGENTS,
     HALF,
     NODES,

@@ -13,7 +13,7 @@ from robotkube.delivery.manager.loops.reconciler import DEPLOYMENT, TASKS
 from robotkube.testing.clusters import MemoryTasks
 from tests.delivery.manager.processes.test_manager import KEY, ask, committed, releases
 from tests.delivery.rights.test_revoking import Person
-from tests.stages.delivery.running_manager import RunningManager, start_manager
+from tests.stages.delivery.manager.running_manager import RunningManager, start_manager
 from tests.stages.forge.installation import RESERVED, Installation, RunningGate
 from tests.stages.waiting import until
 

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from robotkube.delivery.deployment.core.commit_messages import read_message
-from tests.stages.delivery.manager_process import Pod, conditions, write_settings
+from tests.stages.delivery.manager.manager_process import Pod, conditions, write_settings
 from tests.stages.forge.installation import ApplicationSetController, Installation, outside, start_gate
 from tests.stages.kubernetes.api_calls import TASKS, Api
 from tests.stages.programs import free_port

@@ -13,7 +13,7 @@ import pytest
 from robotkube.delivery.deployment.core.commit_messages import read_message
 from robotkube.foundation.forge.adapters.push_hooks import PushRelay
 from tests.stages import http_calls
-from tests.stages.delivery.manager_process import Pod, conditions, write_settings
+from tests.stages.delivery.manager.manager_process import Pod, conditions, write_settings
 from tests.stages.forge.installation import (
     ApplicationSetController,
     Installation,

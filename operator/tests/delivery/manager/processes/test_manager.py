@@ -15,8 +15,8 @@ from robotkube.delivery.deployment.core.releases import Release, read_tree, writ
 from robotkube.delivery.manager.loops.reconciler import APPLICATIONS, DEPLOYMENT, TASKS
 from robotkube.delivery.manager.loops.reconciler import CATALOGUE as CATALOGUE_MOVED
 from robotkube.testing.clusters import MemoryTasks
-from tests.stages.delivery.manager_process import AGENTS
-from tests.stages.delivery.running_manager import RunningManager, start_manager
+from tests.stages.delivery.manager.manager_process import AGENTS
+from tests.stages.delivery.manager.running_manager import RunningManager, start_manager
 from tests.stages.forge.catalogue_evidence import unproved_chart
 from tests.stages.forge.installation import (
     CATALOGUE,

@@ -13,7 +13,7 @@ from ci.images.catalogue import BY_NAME, Sources, go_module
 from ci.images.contexts import assemble
 from robotkube.testing.clusters import MemoryTasks
 from tests.stages import http_calls
-from tests.stages.delivery.running_manager import RunningManager, start_manager
+from tests.stages.delivery.manager.running_manager import RunningManager, start_manager
 from tests.stages.forge.fixtures import installed
 from tests.stages.forge.gitea import ForgeProcess
 from tests.stages.forge.installation import VIEWER, ApplicationSetController, Installation, start_gate

@@ -21,7 +21,7 @@ from robotkube.foundation.kubernetes.adapters.client import call
 from robotkube.foundation.runtime.adapters.webhook_server import WebServer
 from robotkube.foundation.runtime.core.webhook_deliveries import sign
 from tests.stages import http_calls
-from tests.stages.delivery.manager_process import Pod, write_settings
+from tests.stages.delivery.manager.manager_process import Pod, write_settings
 from tests.stages.forge.installation import WEBHOOK_SECRET, Installation, RunningGate, manager_secret, outside
 from tests.stages.handshakes import certified, written
 from tests.stages.kubernetes.api_calls import TASKS, Api

@@ -14,7 +14,7 @@ from robotkube.registry.charts.adapters.chart_renderer import ChartRenderer
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.charts.loops.release_images import ReleaseImages
 from robotkube.testing.clusters import MemoryTasks
-from tests.stages.delivery.running_manager import RunningManager, start_manager
+from tests.stages.delivery.manager.running_manager import RunningManager, start_manager
 from tests.stages.forge.installation import Installation, RunningGate
 from tests.stages.forge.real_charts import IMAGE, Published, published_bridge
 from tests.stages.programs import program

@@ -31,7 +31,7 @@ from robotkube.registry.charts.core.packing import build_tag
 from robotkube.registry.charts.core.references import ChartReference
 from robotkube.registry.evidence.adapters.dsse import TrustedKeys
 from robotkube.registry.evidence.core.statements import Artefact
-from tests.stages.delivery.people import People
+from tests.stages.delivery.gate.people import People
 from tests.stages.registry.signed_evidence import (
     CHARTS_URL,
     PLATFORM,

@@ -14,7 +14,7 @@ from robotkube.delivery.deployment.core.merge_records import REFERENCE, MergeRec
 from robotkube.foundation.documents.core.digests import canonical_json, sha256
 from robotkube.foundation.forge.adapters.git.notes import REFERENCE as OUTCOMES
 from robotkube.registry.charts.core.packing import build_tag
-from tests.stages.delivery.audited_platform import (
+from tests.stages.delivery.audit.audited_platform import (
     APPLICATION,
     BEGAN,
     BRIDGE,

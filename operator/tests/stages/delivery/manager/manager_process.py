@@ -1,6 +1,6 @@
 """The manager as its pod runs it, for tests: settings, process; and a process that ends at one of its writes.
 
-    python3 -m tests.stages.delivery.manager_process POINT FLAG
+    python3 -m tests.stages.delivery.manager.manager_process POINT FLAG
 
 POINT: `<kill|stop> <before|after> <module.class.method>`. Runs the entry point; at the first such
 write it makes the file FLAG and sends itself SIGKILL or SIGSTOP.

@@ -1,6 +1,6 @@
 """Merge latencies of tasks, and times of the forge alone, over N of each: prints them as JSON, in milliseconds.
 
-    ci/python -m tests.stages.delivery.merge_latency N
+    ci/python -m tests.stages.delivery.manager.merge_latency N
 
 `floor`: propose a one-line change by AGit and push it to main, while manager and gate stand still; half of them before
 and half after the tasks, since repository and machine are not the same at both times. `tasks`: from a task's creation
@@ -27,7 +27,7 @@ from robotkube.foundation.runtime.adapters.webhook_server import WebServer
 from robotkube.setup.adapters.gitea_administration import GiteaAdministration
 from robotkube.setup.loops.bootstrap import Bootstrap
 from robotkube.testing.clusters import MemoryTasks
-from tests.stages.delivery.running_manager import RunningManager, start_manager
+from tests.stages.delivery.manager.running_manager import RunningManager, start_manager
 from tests.stages.forge.gitea import ForgeProcess
 from tests.stages.forge.installation import (
     ACCOUNTS,

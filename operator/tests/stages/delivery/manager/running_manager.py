@@ -25,7 +25,7 @@ from robotkube.registry.catalogue.loops.verified_catalogue import AssuredCatalog
 from robotkube.registry.charts.ports import RenderedImages
 from robotkube.testing.clusters import MemoryArgoCD, MemoryCluster, MemoryTasks
 from robotkube.testing.leadership import MemoryLeadership
-from tests.stages.delivery.manager_process import AGENTS
+from tests.stages.delivery.manager.manager_process import AGENTS
 from tests.stages.forge.catalogue_evidence import trusted_keys
 from tests.stages.forge.installation import (
     CHARTS_URL,

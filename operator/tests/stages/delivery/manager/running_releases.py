@@ -22,9 +22,9 @@ from robotkube.robots.ros.core.common_messages import STAMPED_TYPES
 from robotkube.testing.api_server import ApiServerInMemory
 from scenarios.generator import messages
 from scenarios.runner.platform import listening
-from tests.stages.delivery.kept_rights import KeptRights
-from tests.stages.delivery.manager_in_memory import Stage
-from tests.stages.delivery.rights_broker import password
+from tests.stages.delivery.manager.manager_in_memory import Stage
+from tests.stages.delivery.rights.kept_rights import KeptRights
+from tests.stages.delivery.rights.rights_broker import password
 from tests.stages.paths import REPOSITORY
 from tests.stages.platform.table_one import PUBLISH, Message
 from tests.stages.ros.ros_domains import domain

@@ -1,6 +1,6 @@
 """A storm of demands on a real forge and a real API server, and the manager's recovery from SIGKILL.
 
-    ci/python -m tests.stages.delivery.task_storm DEMANDS NODES
+    ci/python -m tests.stages.delivery.manager.task_storm DEMANDS NODES
 
 Prints one JSON object: `storm_seconds` from the first demand's creation to the last one's being on main, `plans` it
 took, `rss_mib` of the manager's process after so many demands on main, and `recovery_seconds` from the start of a new
@@ -29,8 +29,8 @@ import httpx
 from prometheus_client.parser import text_string_to_metric_families
 
 from robotkube.foundation.kubernetes.adapters.client import api_client, call
-from tests.stages.delivery.manager_process import AGENTS, Pod, write_settings
-from tests.stages.delivery.merge_latency import Stage, until
+from tests.stages.delivery.manager.manager_process import AGENTS, Pod, write_settings
+from tests.stages.delivery.manager.merge_latency import Stage, until
 from tests.stages.forge.catalogue_evidence import published_chart
 from tests.stages.forge.installation import CATALOGUE, outside, start_gate
 from tests.stages.kubernetes.api_calls import TASKS, Api, prepare

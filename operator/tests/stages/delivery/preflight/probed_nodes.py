@@ -10,7 +10,7 @@ from robotkube.delivery.preflight.core.probing.answers import DiskSpace, ProbeAn
 from robotkube.delivery.preflight.core.probing.checks import PROBE_CHECKS
 from robotkube.delivery.preflight.core.probing.objects import ProbeTarget
 from robotkube.delivery.preflight.core.probing.outcomes import NodeOutcome, Probed
-from tests.stages.delivery.preflight_facts import facts
+from tests.stages.delivery.preflight.preflight_facts import facts
 
 IMAGE = f"registry.example/robotkube/platform@sha256:{'1' * 64}"
 BROKER = "broker.robotkube.svc.cluster.local"

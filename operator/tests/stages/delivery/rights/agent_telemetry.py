@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 
 from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel
-from tests.stages.delivery.kept_rights import KeptRights
+from tests.stages.delivery.rights.kept_rights import KeptRights
 from tests.stages.waiting import until
 
 

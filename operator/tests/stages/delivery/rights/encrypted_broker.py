@@ -21,7 +21,7 @@ from robotkube.foundation.certificates.adapters.verification import ClientCertif
 from robotkube.foundation.certificates.core.lives import Pair
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount
 from robotkube.robots.mqtt.adapters.paho_channel import PahoChannel
-from tests.stages.delivery.rights_broker import ACCOUNTS, PLUGIN, answers, open_accounts, password, plugin
+from tests.stages.delivery.rights.rights_broker import ACCOUNTS, PLUGIN, answers, open_accounts, password, plugin
 from tests.stages.programs import free_port
 from tests.stages.waiting import until
 

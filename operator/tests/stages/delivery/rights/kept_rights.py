@@ -16,9 +16,9 @@ from robotkube.delivery.rights.core.accounts import Accounts
 from robotkube.delivery.rights.core.control import REQUESTS
 from robotkube.delivery.rights.loops.keeper import Keeper
 from robotkube.delivery.rights.loops.main_follower import MainFollower
-from tests.stages.delivery.main_of_links import Main
-from tests.stages.delivery.mqtt_connection import Connection
-from tests.stages.delivery.rights_broker import ACCOUNTS, RightsBroker, password
+from tests.stages.delivery.rights.main_of_links import Main
+from tests.stages.delivery.rights.rights_broker import ACCOUNTS, RightsBroker, password
+from tests.stages.delivery.tasks.mqtt_connection import Connection
 from tests.stages.waiting import until
 
 

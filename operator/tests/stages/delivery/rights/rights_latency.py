@@ -1,7 +1,7 @@
 """How soon a merged link is a right at the broker, and a withdrawn one none any more, N times each: prints milliseconds
 as JSON.
 
-    ci/python -m tests.stages.delivery.rights_latency N
+    ci/python -m tests.stages.delivery.rights.rights_latency N
 
 A real forge, the process that keeps rights behind its webhook, and a real broker that speaks TLS. All times are from
 the beginning of the push that moves main. `applied`: until a message of the other vehicle arrives where the right was
@@ -29,9 +29,9 @@ from robotkube.foundation.runtime.core.webhook_deliveries import WebhookDelivery
 from robotkube.foundation.runtime.settings_file import Credentials, Listen
 from robotkube.setup.adapters.gitea_administration import GiteaAdministration
 from robotkube.setup.loops.bootstrap import Bootstrap, ForgeSetup, Webhook
-from tests.stages.delivery.main_of_links import POSE_01, bridge, texts
-from tests.stages.delivery.mqtt_connection import Connection
-from tests.stages.delivery.rights_broker import RightsBroker, password
+from tests.stages.delivery.rights.main_of_links import POSE_01, bridge, texts
+from tests.stages.delivery.rights.rights_broker import RightsBroker, password
+from tests.stages.delivery.tasks.mqtt_connection import Connection
 from tests.stages.forge.gitea import ForgeProcess
 from tests.stages.forge.installation import ACCOUNTS, Clone, forge_setup
 from tests.stages.programs import free_port

@@ -27,7 +27,7 @@ from ci.cluster.embedded.host.records import ClusterFolders
 from robotkube.delivery.inspection.loops.reporting import Reporter
 from robotkube.delivery.inspection.ports import NotInstalledError
 from robotkube.errors import InputError, UnavailableError
-from tests.stages.delivery.inspections_in_memory import Clock, InspectionsInMemory
+from tests.stages.delivery.inspection.inspections_in_memory import Clock, InspectionsInMemory
 
 CLUSTER = "containers"
 NAMED_SECONDS_MAX = 15

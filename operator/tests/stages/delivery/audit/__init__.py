@@ -1,0 +1,1 @@
+"""A platform's repositories, to audit and to manipulate."""

@@ -1,0 +1,1 @@
+"""The gate: its settings, people who sign, trials of applications."""

@@ -1,0 +1,1 @@
+"""What an inspection sees, and where it writes."""

@@ -1,0 +1,1 @@
+"""What the preflight knows of a cluster and of its Nodes."""

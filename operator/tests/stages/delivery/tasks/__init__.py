@@ -1,0 +1,1 @@
+"""Tasks and messages at random, and a connection of who asks."""
