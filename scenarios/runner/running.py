@@ -23,6 +23,7 @@ from scenarios.runner.inputs import (
     AuditGap,
     Edge,
     InputCounters,
+    NetworkOfRun,
     Plan,
     Recording,
     ReleasedChart,
@@ -367,22 +368,15 @@ def collect(going: Run) -> RunInputs:
     """Everything the report is computed from; what cannot be read is a warning and fails its expectations."""
     ended = time.time_ns()
     scenario = going.scenario
-    access = going.access
     reading = collecting.Collecting(going.warn)
-    read, records = reading.read, scenario.records
-    cables_of_run = read("network", going.cables.finish, (), "cables")
-    for text in going.cables.warnings:
-        going.warn(text)
-    input_after = (
-        read("event detector's input", lambda: collecting.input_counters(access, scenario), None, "input_after")
-        if records
-        else None
-    )
+    read = reading.read
+    records = scenario.records
+    cables_of_run = _cables(going, reading)
+    input_after = _input_after(going, reading) if records else None
     broker = read("observer of the broker", going.observer.stop, None, "broker")
     cpu = read("CPU time", lambda: going.sampler.stop(going.pods.labels), {}, "cpu_core_seconds")
     cores = read("CPU time by second", lambda: going.sampler.cores(going.pods.labels), None, "cores")
-    read("watch of the pods", going.pods.stop, None, "pods")
-    read("watch of the tasks", going.tasks.stop, None, "tasks")
+    _stop_watches(going, reading)
     edges = _edges(going, reading) if records else ()
     recordings, stored, gaps = _stored(going, reading, edges) if records else ((), (), ())
     read("deployment repository", going.deployment.fetch, "", "commits", "releases_after", "released", "history")
@@ -420,6 +414,27 @@ def collect(going: Run) -> RunInputs:
         warnings=tuple(going.warnings),
         missing=frozenset(reading.missing | ({STORY} if going.broke_off else set())),
     )
+
+
+def _cables(going: Run, reading: collecting.Collecting) -> tuple[NetworkOfRun, ...]:
+    """What the cables did, with their warnings."""
+    networks: tuple[NetworkOfRun, ...] = reading.read("network", going.cables.finish, (), "cables")
+    for text in going.cables.warnings:
+        going.warn(text)
+    return networks
+
+
+def _input_after(going: Run, reading: collecting.Collecting) -> InputCounters | None:
+    """The counters of the event detector's input; None when they cannot be read."""
+    read = partial(collecting.input_counters, going.access, going.scenario)
+    counters: InputCounters | None = reading.read("event detector's input", read, None, "input_after")
+    return counters
+
+
+def _stop_watches(going: Run, reading: collecting.Collecting) -> None:
+    """End the watches: what comes later is of no run."""
+    reading.read("watch of the pods", going.pods.stop, None, "pods")
+    reading.read("watch of the tasks", going.tasks.stop, None, "tasks")
 
 
 def _edges(going: Run, reading: collecting.Collecting) -> tuple[Edge, ...]:

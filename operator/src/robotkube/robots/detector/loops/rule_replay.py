@@ -94,6 +94,12 @@ class BagTopics:
         """See the port."""
         return ()
 
+    def put(self, topic: str, data: bytes, time: int) -> None:
+        """A message of the bags waits for its subscription; one of a topic without any is nobody's."""
+        topic_input = self.inputs.get(topic)
+        if topic_input is not None:
+            topic_input.waiting.append((data, time))
+
     @property
     def waiting(self) -> bool:
         """Return whether subscriptions have messages that were not drained."""
@@ -232,9 +238,7 @@ def replay(
                 begin = time
             result.messages += 1
             now = result.last = max(now, time)
-            topic_input = source.inputs.get(name)
-            if topic_input is not None:
-                topic_input.waiting.append((data, time))
+            source.put(name, data, time)
             if clock.seen.get(name, 0) < CLOCK_MESSAGES:
                 clock.observe(detector.topics.topics.get(name), name, data, time)
         if result.messages:
