@@ -182,7 +182,7 @@ class CoresUsed:
 
 
 @dataclass(frozen=True)
-class Pod:
+class PodOfRun:
     """A pod's life as the watch saw it."""
 
     namespace: str
@@ -294,7 +294,7 @@ class RunInputs:
     input_before: InputCounters | None
     input_after: InputCounters | None
     broker: BrokerLog | None
-    pods: tuple[Pod, ...]
+    pods: tuple[PodOfRun, ...]
     releases_before: Mapping[str, str]
     releases_after: Mapping[str, str]
     released: tuple[ReleasedChart, ...] = ()

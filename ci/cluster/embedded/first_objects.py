@@ -52,14 +52,14 @@ def persistent_volume(node: Node, name: str, folder: Path) -> dict[str, Any]:
     }
 
 
-class Reader(Protocol):
+class ObjectReader(Protocol):
     """Reads of the API server."""
 
     def get(self, path: str) -> dict[str, Any]:
         """The object or list at `path`; SetUpError when it is not there."""
 
 
-def volume_path(api: Reader, namespace: str, volume_claim: str) -> Path:
+def volume_path(api: ObjectReader, namespace: str, volume_claim: str) -> Path:
     """The folder of the host behind a bound volume claim; raises SetUpError naming the claim's state otherwise."""
     bound = api.get(f"/api/v1/namespaces/{namespace}/persistentvolumeclaims/{volume_claim}")
     volume = bound["spec"].get("volumeName")

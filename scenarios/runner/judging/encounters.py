@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from scenarios.definition import Scenario, cloud_topic, pose_topic, transform_topic
-from scenarios.runner.inputs import NANOSECONDS, AuditGap, Edge, LedgerLine, Plan, Pod, RunInputs, Stored
+from scenarios.runner.inputs import NANOSECONDS, AuditGap, Edge, LedgerLine, Plan, PodOfRun, RunInputs, Stored
 
 PAIR = 2
 
@@ -25,7 +25,7 @@ class Encounter:
     stop: Edge | None
     plan: Plan | None
     withdrawal: Plan | None
-    pods: tuple[Pod, ...]
+    pods: tuple[PodOfRun, ...]
     stored: tuple[Stored, ...]
     ledgers: Mapping[str, tuple[LedgerLine, ...]]
     gaps: tuple[AuditGap, ...] = ()
@@ -179,7 +179,7 @@ def _encounter(scenario: Scenario, inputs: RunInputs, start: Edge, stop: Edge | 
     )
 
 
-def _pods(inputs: RunInputs, plan: Plan | None, begin: int, end: int) -> tuple[Pod, ...]:
+def _pods(inputs: RunInputs, plan: Plan | None, begin: int, end: int) -> tuple[PodOfRun, ...]:
     """Pods that the releases made by the plan had from `begin` to `end`; release <namespace>/<name> has pods
     <name>-..."""
     owners = [release.split("/", 1) for release in plan.created] if plan else []

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
-from scenarios.runner.inputs import Pod
+from scenarios.runner.inputs import PodOfRun
 from scenarios.runner.observing.repeated_watch import RepeatedWatch
 from scenarios.runner.platform.access import Access
 
@@ -19,10 +19,10 @@ class PodWatch(RepeatedWatch):
         super().__init__("pods", progress)
         self._access = access
         self._namespaces = frozenset(namespaces)
-        self._pods: dict[str, Pod] = {}
+        self._pods: dict[str, PodOfRun] = {}
         self.labels: dict[str, tuple[str, str, dict[str, str]]] = {}
 
-    def pods(self) -> tuple[Pod, ...]:
+    def pods(self) -> tuple[PodOfRun, ...]:
         """The lives seen so far."""
         with self._lock:
             return tuple(self._pods.values())
@@ -45,7 +45,7 @@ class PodWatch(RepeatedWatch):
         self.labels[data.uid] = (data.namespace, data.name, dict(data.labels or {}))
         if data.namespace not in self._namespaces:
             return
-        known = self._pods.get(data.uid) or Pod(data.namespace, data.name, data.uid, now)
+        known = self._pods.get(data.uid) or PodOfRun(data.namespace, data.name, data.uid, now)
         if kind == "DELETED":
             known = replace(known, deleted=known.deleted or now)
         if pod.status.phase == "Running":
@@ -54,6 +54,6 @@ class PodWatch(RepeatedWatch):
             known = replace(known, ready=known.ready or now)
         self._put(known)
 
-    def _put(self, pod: Pod) -> None:
+    def _put(self, pod: PodOfRun) -> None:
         with self._lock:
             self._pods[pod.uid] = pod

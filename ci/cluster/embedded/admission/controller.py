@@ -54,7 +54,7 @@ class ForgeFolder:
         return self._place
 
 
-def forge_folder(api: first_objects.Reader) -> ForgeFolder:
+def forge_folder(api: first_objects.ObjectReader) -> ForgeFolder:
     """The folder of the cluster's own forge."""
     return ForgeFolder(lambda: first_objects.volume_path(api, NAMESPACE, CLAIM) / REPOSITORIES)
 

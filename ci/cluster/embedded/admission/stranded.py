@@ -13,7 +13,7 @@ from ci.cluster.api_server.client import Api
 from ci.cluster.embedded.admission import admission_files
 from ci.cluster.embedded.admission.catalogue_on_disk import CatalogueOnDisk
 from ci.cluster.embedded.admission.controller import forge_folder
-from ci.cluster.embedded.first_objects import Reader
+from ci.cluster.embedded.first_objects import ObjectReader
 from ci.cluster.embedded.host.records import ClusterFolders
 from ci.cluster.embedded.network.addresses import plan_of
 from ci.cluster_contract.topology import Topology
@@ -43,7 +43,7 @@ def stranded_now(folders: ClusterFolders, topology: Topology, images: Sequence[I
         return report(api, folders, topology, images)
 
 
-def report(api: Reader, folders: ClusterFolders, topology: Topology, images: Sequence[Image]) -> StrandedReport:
+def report(api: ObjectReader, folders: ClusterFolders, topology: Topology, images: Sequence[Image]) -> StrandedReport:
     """The same, as `api` sees the cluster."""
     with tempfile.TemporaryDirectory() as scratch:
         listed = _listing(api, Path(scratch))
@@ -55,7 +55,7 @@ def report(api: Reader, folders: ClusterFolders, topology: Topology, images: Seq
     return StrandedReport(result, (*listed.problems, *map(str, result), counted(result, allowed)))
 
 
-def _listing(api: Reader, scratch: Path) -> AllowedVersions:
+def _listing(api: ObjectReader, scratch: Path) -> AllowedVersions:
     """The list as admission would have it now: without a catalogue, of nothing but the platform."""
     keys = scratch / "keys"
     keys.mkdir()
@@ -67,7 +67,7 @@ def _listing(api: Reader, scratch: Path) -> AllowedVersions:
         return AllowedVersions(problems=(str(error),))
 
 
-def _objects(api: Reader) -> Iterator[dict[str, Any]]:
+def _objects(api: ObjectReader) -> Iterator[dict[str, Any]]:
     """Items of lists, which do not say their kind."""
     for path, kind in KINDS.items():
         yield from ({**item, "kind": kind} for item in api.get(path)["items"])

@@ -28,7 +28,7 @@ LINK_ENDING = ".log"
 
 
 @dataclass(frozen=True)
-class Container:
+class RuntimeContainer:
     """A container that a node's runtime runs. `runtime_namespace` and `id` are the runtime's; all others are what the
     container says of itself, but for `made_ns`, when its files were made, and what runc wrote down of it: it
     `waits` to be started, or was `started`."""
@@ -63,7 +63,7 @@ class NodeContents:
     """What a node has: its runtime's containers; the kubelet's links (when each was made, by name) and the uids of pods
     with a folder; the ids of sandboxes of which the runtime's CRI service keeps a record."""
 
-    containers: tuple[Container, ...] = ()
+    containers: tuple[RuntimeContainer, ...] = ()
     links: Mapping[str, int] = field(default_factory=dict)
     pods: frozenset[str] = frozenset()
     recorded: frozenset[str] = frozenset()
@@ -73,7 +73,7 @@ class NodeContents:
 class Unknown:
     """A container that nobody of the cluster started, and what gave it away."""
 
-    container: Container
+    container: RuntimeContainer
     why: str
     certain: bool = False  # no kubelet could make it a known one a moment later
 
@@ -97,12 +97,14 @@ def unknown(node: NodeContents) -> tuple[Unknown, ...]:
     return tuple(sorted(strangers, key=lambda one: one.container.key))
 
 
-def _is_started(one: Container, node: NodeContents) -> bool:
+def _is_started(one: RuntimeContainer, node: NodeContents) -> bool:
     """Return whether the kubelet started it. A link that is older is of another container, which had this id before."""
     return one.kind == CONTAINER and node.links.get(one.link, -1) >= one.made_ns
 
 
-def _sandboxes(own: Iterable[Container], started: Iterable[Container], node: NodeContents) -> list[Container]:
+def _sandboxes(
+    own: Iterable[RuntimeContainer], started: Iterable[RuntimeContainer], node: NodeContents
+) -> list[RuntimeContainer]:
     """The sandboxes that the kubelet made: one with started containers in it is older than all of them."""
     sandboxes = [one for one in own if one.kind == SANDBOX]
     oldest = {one.sandbox: one.made_ns for one in sorted(started, key=lambda one: -one.made_ns)}
@@ -115,15 +117,15 @@ def _sandboxes(own: Iterable[Container], started: Iterable[Container], node: Nod
     ]
 
 
-def _is_recorded(one: Container, node: NodeContents) -> bool:
+def _is_recorded(one: RuntimeContainer, node: NodeContents) -> bool:
     return one.pod_uid in node.pods and one.id in node.recorded
 
 
-def _elsewhere(one: Container) -> str:
+def _elsewhere(one: RuntimeContainer) -> str:
     return f"containerd's namespace {one.runtime_namespace} is not {KUBELETS}, which is that of kubelets"
 
 
-def _why(one: Container) -> str:
+def _why(one: RuntimeContainer) -> str:
     pod = f"pod {one.pod_namespace}/{one.pod}"
     if one.kind == SANDBOX:
         return f"the kubelet made no such sandbox, though it says to be that of {pod}"

@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from ci.cluster.embedded.containers.beside_kubelets import Container, NodeContents
+from ci.cluster.embedded.containers.beside_kubelets import NodeContents, RuntimeContainer
 from ci.cluster.embedded.network.pod_links import SETTLED_NS
 
 STATE = Path("run/containerd")
@@ -46,7 +46,7 @@ class NodeContainers:
     def __init__(self, folder: Path, clock_ns: Callable[[], int] = time.time_ns) -> None:
         self._folder = folder
         self._clock_ns = clock_ns
-        self._known: dict[Seen, Container] = {}
+        self._known: dict[Seen, RuntimeContainer] = {}
         self._node = NodeContents()
         self._changed: Mapping[str, int] | None = None  # of each folder that says what `_node` has; None: read again
 
@@ -80,7 +80,7 @@ class NodeContainers:
         )
 
 
-def _is_settled(one: Container) -> bool:
+def _is_settled(one: RuntimeContainer) -> bool:
     """Return whether it needs not be read again: it runs, and its file was there as a whole."""
     return bool(one.kind or one.program) and one.started
 
@@ -109,7 +109,7 @@ def _made_ns(folder: Path) -> int:
         return 0
 
 
-def _container(seen: Seen) -> Container:
+def _container(seen: Seen) -> RuntimeContainer:
     """A container with what it says of itself; nothing of that while its file cannot be read."""
     folder, namespace, name, made_ns = seen
     try:
@@ -117,9 +117,11 @@ def _container(seen: Seen) -> Container:
         records = folder.parents[2] / RECORDS / namespace / name
         made = (records / MADE).exists()  # asked first: the other one is there before it
         waits = (records / WAITS).exists()
-        return Container(namespace, name, made_ns, **_declared(document), waits=waits, started=made and not waits)
+        return RuntimeContainer(
+            namespace, name, made_ns, **_declared(document), waits=waits, started=made and not waits
+        )
     except (FileNotFoundError, ValueError, KeyError, TypeError, AttributeError, IndexError):
-        return Container(namespace, name, made_ns)
+        return RuntimeContainer(namespace, name, made_ns)
 
 
 def _declared(document: Mapping[str, Any]) -> dict[str, Any]:

@@ -21,7 +21,7 @@ STATISTICS_PERIOD_SECONDS = 300
 
 
 @dataclass(frozen=True)
-class Settings:
+class ContainerdSettings:
     """Places of one containerd; `sandbox` is the pause image's reference, `hosts` the folder that says from where it
     pulls (pulling.py)."""
 

@@ -104,7 +104,7 @@ def _import_into(root: Path, images: Sequence[Image], launcher: Launcher) -> int
     state = launcher.folders.base / "import"
     state.mkdir(parents=True, exist_ok=True)
     runc = launcher.binaries / "runc"
-    settings = containerd.Settings(root, state, sandbox_of(images), runc, state, state / "certs.d")
+    settings = containerd.ContainerdSettings(root, state, sandbox_of(images), runc, state, state / "certs.d")
     configuration = state / "containerd.toml"
     configuration.write_text(settings.toml(), encoding="utf-8")
     prefix = ["/usr/bin/unshare", "--mount", "--propagation", "private"]

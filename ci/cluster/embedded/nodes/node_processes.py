@@ -109,7 +109,7 @@ def start_containerd(node: Node, launcher: Launcher, holder: Process, sandbox: s
     cni.mkdir(parents=True, exist_ok=True)
     (cni / "10-robotkube.conflist").write_text(json.dumps(_cni(node), indent=1), encoding="utf-8")
     configuration = node.folder / "containerd.toml"
-    settings = containerd.Settings(
+    settings = containerd.ContainerdSettings(
         root=node.folder / "containerd",
         state=Path("/run/containerd"),
         sandbox=sandbox,

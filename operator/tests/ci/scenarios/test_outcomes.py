@@ -14,7 +14,7 @@ from scenarios.runner.inputs import (
     BrokerResult,
     Commit,
     MainState,
-    Pod,
+    PodOfRun,
     PullRequest,
     RunInputs,
     StepDone,
@@ -147,7 +147,7 @@ def test_a_chain_is_as_deep_as_its_longest_line(inputs: RunInputs) -> None:
 def seen(inputs: RunInputs, *times: int, gaps: int = 0) -> RunInputs:
     texts = [json.dumps({"stamp": 1, "tracks": [{"id": 1, "x": 0}]}), json.dumps({"tracks": []}), "no JSON"]
     results = tuple(BrokerResult(time, "t", texts[n % len(texts)]) for n, time in enumerate(times))
-    pod = Pod("roadside-0", "object-tracking-roadside-0-x", "u", 1, 2, 3, deleted=10 * SECOND)
+    pod = PodOfRun("roadside-0", "object-tracking-roadside-0-x", "u", 1, 2, 3, deleted=10 * SECOND)
     log = BrokerLog(-1, 101 * SECOND, gaps, (), results)
     return replace(inputs, broker=log, pods=(pod,), ended=100 * SECOND)
 
@@ -205,7 +205,7 @@ def test_one_uplink_serves_both_until_the_second_ends(overlap: Any) -> None:
     fine = replace(inputs, history=uplink("", "0", "0 1", "1", ""))
     assert sharing.demands_max(fine, met) == 2
     assert sharing.kept(fine, met) is True
-    bridge = Pod("vehicle-01", "mqtt-bridge-1", "a", 1)
+    bridge = PodOfRun("vehicle-01", "mqtt-bridge-1", "a", 1)
     assert sharing.pods(replace(fine, pods=(bridge,)), met) == 1
     assert sharing.pods(replace(fine, pods=(bridge, replace(bridge, uid="b"))), met) == 2
 

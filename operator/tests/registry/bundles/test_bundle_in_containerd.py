@@ -40,7 +40,9 @@ def socket(tmp_path: Path) -> Iterator[Path]:
     """A containerd without anything in it; layers are mounted where nobody else sees it."""
     state = tmp_path / "state"
     state.mkdir()
-    settings = containerd.Settings(tmp_path / "root", state, "none", Path(program("runc")), state, state / "certs.d")
+    settings = containerd.ContainerdSettings(
+        tmp_path / "root", state, "none", Path(program("runc")), state, state / "certs.d"
+    )
     (state / "containerd.toml").write_text(settings.toml())
     command = ["unshare", "--mount", "--propagation", "private", program("containerd")]
     with (tmp_path / "log").open("w") as log:

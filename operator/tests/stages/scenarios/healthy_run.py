@@ -179,7 +179,9 @@ def _known(scenario: definition.Scenario) -> inputs.RunInputs:
         start, stop = (START + int(moment * POSE_HZ) * SECOND // POSE_HZ for moment in (begin, end))
         edges += [_edge(number, "start", start), _edge(number, "stop", stop)]
         plans += [_plan(2 * number + 1, "task", edges[-2], start), _plan(2 * number + 2, "withdrawal", edges[-1], stop)]
-        pod = inputs.Pod("cloud-0", f"recorder-vehicle-00-vehicle-01-{number}-x", f"uid-{number}", start + 2 * SECOND)
+        pod = inputs.PodOfRun(
+            "cloud-0", f"recorder-vehicle-00-vehicle-01-{number}-x", f"uid-{number}", start + 2 * SECOND
+        )
         pods.append(replace(pod, running=start + 3 * SECOND, ready=start + 3 * SECOND, deleted=stop + 5 * SECOND))
         seen += _seen(scenario, start + 4 * SECOND, stop + 2 * SECOND)
     seconds = routes.duration_seconds(scenario.parameters)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from scenarios.definition import Scenario
-from scenarios.runner.inputs import NANOSECONDS, Edge, Plan, Pod, RunInputs
+from scenarios.runner.inputs import NANOSECONDS, Edge, Plan, PodOfRun, RunInputs
 from scenarios.runner.judging.encounters import Encounter
 
 PODS_MAX = 6  # beside the critical one
@@ -116,5 +116,5 @@ def _plan_made(edge: Edge, plan: Plan | None) -> Iterator[Span]:
     yield Span("gate", plan.proposed if plan else None, plan.merged if plan else None)
 
 
-def _first_running(pods: Sequence[Pod]) -> Pod | None:
+def _first_running(pods: Sequence[PodOfRun]) -> PodOfRun | None:
     return min((pod for pod in pods if pod.running), key=lambda pod: pod.running or 0, default=None)

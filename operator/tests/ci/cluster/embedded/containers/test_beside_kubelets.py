@@ -13,22 +13,22 @@ from ci.cluster.embedded.containers.beside_kubelets import (
     GRACE_SECONDS,
     MAKING_SECONDS,
     SANDBOX,
-    Container,
     NodeContents,
+    RuntimeContainer,
     Unknown,
     Watched,
     message,
     unknown,
 )
 
-BOX = Container("k8s.io", "b0" * 32, 10, SANDBOX, "b0" * 32, "vehicle-00", "web-1", "uid-web", program="/pause")
-WEB = Container(
+BOX = RuntimeContainer("k8s.io", "b0" * 32, 10, SANDBOX, "b0" * 32, "vehicle-00", "web-1", "uid-web", program="/pause")
+WEB = RuntimeContainer(
     "k8s.io", "c1" * 32, 20, CONTAINER, BOX.id, "vehicle-00", "web-1", "uid-web", "web", "/web", started=True
 )
 NODE = NodeContents((BOX, WEB), {WEB.link: 21}, frozenset(["uid-web"]), frozenset([BOX.id]))
 
 
-def with_containers(*containers: Container, node: NodeContents = NODE) -> NodeContents:
+def with_containers(*containers: RuntimeContainer, node: NodeContents = NODE) -> NodeContents:
     return replace(node, containers=containers)
 
 
@@ -58,7 +58,7 @@ def test_a_container_in_another_namespace_of_the_runtime_is_nobodys_at_once() ->
 @pytest.mark.parametrize(
     "foreign",
     [
-        Container("k8s.io", "foreign"),
+        RuntimeContainer("k8s.io", "foreign"),
         replace(WEB, id="d2" * 32),
         replace(WEB, id="d2" * 32, name="sidecar"),
         replace(WEB, id="d2" * 32, kind=""),
@@ -69,7 +69,7 @@ def test_a_container_in_another_namespace_of_the_runtime_is_nobodys_at_once() ->
     ],
     ids=["bare", "another of the same name", "sidecar", "no kind", "as sandbox", "second sandbox", "no pod", "in it"],
 )
-def test_what_a_container_says_of_itself_makes_it_nobodys(foreign: Container) -> None:
+def test_what_a_container_says_of_itself_makes_it_nobodys(foreign: RuntimeContainer) -> None:
     assert keys(with_containers(BOX, WEB, foreign)) == [foreign.id]
 
 

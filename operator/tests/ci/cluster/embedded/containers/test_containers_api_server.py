@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from ci.cluster.embedded.containers.beside_kubelets import Container, NodeContents
+from ci.cluster.embedded.containers.beside_kubelets import NodeContents, RuntimeContainer
 from ci.cluster.embedded.containers.polling import NAMESPACE, ClusterReports, ContainerPoll, api_server
 from ci.cluster.embedded.containers.reports import PROCESS
 from ci.cluster.embedded.control_plane.pki import Authority, control_plane_identities
@@ -33,7 +33,7 @@ DEFINITION = REPOSITORY / "charts/robotkube/templates/inspections/customresource
 DEFINITIONS = "/apis/apiextensions.k8s.io/v1/customresourcedefinitions"
 INSPECTIONS = f"/apis/robotkube.io/v1alpha1/namespaces/{NAMESPACE}/inspections"
 EVENTS = f"/apis/events.k8s.io/v1/namespaces/{NAMESPACE}/events"
-FOREIGN = Container("default", "miner", program="/bin/miner")
+FOREIGN = RuntimeContainer("default", "miner", program="/bin/miner")
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import pytest
 
 from ci.cluster.embedded.containers import beside_kubelets, reports
-from ci.cluster.embedded.containers.beside_kubelets import GRACE_SECONDS, Container
+from ci.cluster.embedded.containers.beside_kubelets import GRACE_SECONDS, RuntimeContainer
 from ci.cluster.embedded.containers.node_containers import ANNOTATIONS, RUNNING, SPECIFICATION
 from ci.cluster.embedded.containers.polling import ContainerPoll, ContainersOfNodes
 from ci.cluster.embedded.control_plane.pki import Authority, Identity
@@ -62,7 +62,7 @@ def unknown(node: LoneNode) -> list[str]:
     return [one.container.key for one in beside_kubelets.unknown(read(node))]
 
 
-def web(node: LoneNode) -> Container | None:
+def web(node: LoneNode) -> RuntimeContainer | None:
     """The container of the kubelet's pod, once it is known."""
     gone = unknown(node)
     return next(

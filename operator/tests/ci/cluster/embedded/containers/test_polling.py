@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from ci.cluster.embedded.containers import reports
-from ci.cluster.embedded.containers.beside_kubelets import GRACE_SECONDS, Container, NodeContents
+from ci.cluster.embedded.containers.beside_kubelets import GRACE_SECONDS, NodeContents, RuntimeContainer
 from ci.cluster.embedded.containers.node_containers import RUNNING
 from ci.cluster.embedded.containers.polling import (
     AGAIN_SECONDS,
@@ -31,8 +31,8 @@ from tests.stages.delivery.inspection.inspections_in_memory import Clock, Inspec
 
 CLUSTER = "containers"
 NAMED_SECONDS_MAX = 15
-FOREIGN = Container("default", "miner", program="/bin/miner")
-CLAIMING = Container("k8s.io", "miner", program="/bin/miner")
+FOREIGN = RuntimeContainer("default", "miner", program="/bin/miner")
+CLAIMING = RuntimeContainer("k8s.io", "miner", program="/bin/miner")
 
 
 class TwoNodes:
@@ -114,7 +114,7 @@ def test_every_node_has_an_inspection(cluster: Cluster) -> None:
 
 @pytest.mark.parametrize("foreign", [FOREIGN, CLAIMING])
 def test_a_stranger_is_named_within_15_seconds_and_gone_after_it_has_ended(
-    cluster: Cluster, foreign: Container
+    cluster: Cluster, foreign: RuntimeContainer
 ) -> None:
     cluster.look()
     cluster.nodes.nodes["vehicle-00"] = NodeContents((foreign,))
