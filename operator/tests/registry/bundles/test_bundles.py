@@ -175,6 +175,13 @@ def test_a_version_leads_to_no_other_file(tmp_path: Path) -> None:
         read_bundle(tmp_path / "bundle.tar")
 
 
+def test_a_version_makes_an_archive_that_is_known_as_one(tmp_path: Path) -> None:
+    BundleMaker("demo", PREFIX).write(tmp_path / "bundle.tar")
+    with pytest.raises(InputError, match="version: 'demo' is none: a digit, then letters"):
+        read_bundle(tmp_path / "bundle.tar")
+    assert is_archive(archive_name(BundleContents("0.1.0-rc.1+b", PREFIX, ())))
+
+
 @pytest.mark.parametrize(
     ("items", "prefix", "words"),
     [
