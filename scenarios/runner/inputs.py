@@ -91,7 +91,7 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class PullRequest:
+class PullRequestOfRun:
     """A pull request of the deployment repository; `commit` is what the forge says was merged."""
 
     number: int
@@ -289,7 +289,7 @@ class RunInputs:
     recordings: tuple[Recording, ...]
     edges: tuple[Edge, ...]
     plans: tuple[Plan, ...]
-    pull_requests: tuple[PullRequest, ...]
+    pull_requests: tuple[PullRequestOfRun, ...]
     commits: tuple[Commit, ...]
     input_before: InputCounters | None
     input_after: InputCounters | None

@@ -42,7 +42,7 @@ class GivenNode:
 
 
 @dataclass(frozen=True)
-class Change:
+class NodeChange:
     """What is to be written to a Node: values of labels and annotations, None for those that go. `notes` say what is
     left as it is though it was added once."""
 
@@ -56,7 +56,7 @@ class Change:
         return f"Node {self.node}: {', '.join([*words, *self.notes]) or 'the list of added labels alone'}"
 
 
-def adding(nodes: Sequence[GivenNode], file: AgentsFile) -> tuple[Change, ...]:
+def adding(nodes: Sequence[GivenNode], file: AgentsFile) -> tuple[NodeChange, ...]:
     """What makes the Nodes those of the file's entries, and of no others; Nodes that are so already need nothing.
     InputError names what stands in the way."""
     wanted = wanted_labels(nodes, file)
@@ -69,7 +69,7 @@ def wanted_labels(nodes: Sequence[GivenNode], file: AgentsFile) -> dict[str, Map
     return {name: sharing.labels(entries) for name, entries in _owners(nodes, file).items()}
 
 
-def removing(nodes: Sequence[GivenNode]) -> tuple[Change, ...]:
+def removing(nodes: Sequence[GivenNode]) -> tuple[NodeChange, ...]:
     """What takes away all that was added."""
     changes = (_added(node, {}) for node in nodes)
     return tuple(change for change in changes if change is not None)
@@ -119,7 +119,7 @@ def _roles(file: AgentsFile) -> None:
             raise InputError(f"{file.name}: {entry}: has role {entry.role}, another entry {roles[entry.agent]}; choose")
 
 
-def _added(node: GivenNode, wanted: Mapping[str, str]) -> Change | None:
+def _added(node: GivenNode, wanted: Mapping[str, str]) -> NodeChange | None:
     """The change of one Node from the labels that were added to those that are wanted; None when there is nothing to
     do."""
     before = node.added
@@ -138,7 +138,7 @@ def _added(node: GivenNode, wanted: Mapping[str, str]) -> Change | None:
     annotations = {} if node.annotations.get(ADDED) == recorded else {ADDED: recorded}
     if not labels and not annotations:
         return None
-    return Change(node.name, labels, annotations, tuple(_notes(node, before, wanted)))
+    return NodeChange(node.name, labels, annotations, tuple(_notes(node, before, wanted)))
 
 
 def _notes(node: GivenNode, before: Mapping[str, str], wanted: Mapping[str, str]) -> Iterator[str]:

@@ -13,7 +13,7 @@ from kubernetes import client, config
 from urllib3.exceptions import HTTPError
 
 from ci.cluster.api_server import node_states
-from ci.cluster.existing.labels import Change, GivenNode
+from ci.cluster.existing.labels import GivenNode, NodeChange
 from ci.cluster_contract.provider import NodeState
 from ci.errors import InputError, SetUpError
 from robotkube.foundation.kubernetes.adapters.client import NO_KUBECONFIG
@@ -23,7 +23,7 @@ ATTEMPTS_MAX = 5  # at a Node that somebody else writes to meanwhile
 ANSWER_SECONDS_MAX = 10
 OF_API_SERVERS = {"label_selector": "kubernetes.io/service-name=kubernetes"}
 Ask = Callable[[str], bool]
-Plan = Callable[[Sequence[GivenNode]], tuple[Change, ...]]
+Plan = Callable[[Sequence[GivenNode]], tuple[NodeChange, ...]]
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class GivenNodes:
         answer = self._call("Nodes", client.CoreV1Api(self._api).list_node)
         return [self._api.sanitize_for_serialization(one) for one in answer.items]
 
-    def planned(self, plan: Plan) -> tuple[Change, ...]:
+    def planned(self, plan: Plan) -> tuple[NodeChange, ...]:
         """What the plan says of the Nodes as they are."""
         return plan(self.given())
 
@@ -94,11 +94,11 @@ class GivenNodes:
                 f"context {self.context}: nothing was written, since nobody agreed; YES=1 agrees beforehand"
             )
 
-    def write(self, plan: Plan, agreed: Sequence[Change]) -> tuple[str, ...]:
+    def write(self, plan: Plan, agreed: Sequence[NodeChange]) -> tuple[str, ...]:
         """Write what the plan says of the Nodes as they are, until it says nothing more; a line for each. What differs
         from what was `agreed` to is asked for again."""
         known = {change.node: change for change in agreed}
-        written: dict[str, Change] = {}
+        written: dict[str, NodeChange] = {}
         for _ in range(ATTEMPTS_MAX):
             listed = self.objects()
             changes = plan([_given_node(one) for one in listed])
@@ -136,7 +136,7 @@ class GivenNodes:
         answer = self._call("StorageClasses", client.StorageV1Api(self._api).list_storage_class)
         return frozenset(str(one.metadata.name) for one in answer.items)
 
-    def _patch(self, change: Change, version: str) -> None:
+    def _patch(self, change: NodeChange, version: str) -> None:
         """Write a change to a Node that is as it was read; nothing where somebody else was faster."""
         metadata = {"resourceVersion": version, "labels": change.labels, "annotations": change.annotations}
         patch = client.CoreV1Api(self._api).patch_node

@@ -226,7 +226,7 @@ class Existing(ReachedThroughApiServer):
     ) -> tuple[str, ...]:
         """Write the labels of Nodes, once this and what comes `also` was agreed to."""
 
-        def plan(nodes: Sequence[labels.GivenNode]) -> tuple[labels.Change, ...]:
+        def plan(nodes: Sequence[labels.GivenNode]) -> tuple[labels.NodeChange, ...]:
             return labels.adding(nodes, agents)
 
         if self._given.registry:

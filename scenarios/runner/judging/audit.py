@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from scenarios.runner.inputs import Commit, PullRequest, RunInputs
+from scenarios.runner.inputs import Commit, PullRequestOfRun, RunInputs
 
 PLAN_TRAILERS = ("Plan", "Trace", "Chart", "Evidence")
 TASK_TRAILERS = ("Task", "Event", "Rule")
@@ -55,7 +55,7 @@ def complete(inputs: RunInputs, entries: Sequence[AuditEntry]) -> bool | None:
     return plans and one_root and not any(one.missing for one in entries)
 
 
-def entry(commit: Commit, request: PullRequest | None) -> AuditEntry:
+def entry(commit: Commit, request: PullRequestOfRun | None) -> AuditEntry:
     """The entry of a commit and the pull request that was merged as it (None: none was)."""
     missing = [] if request else ["merged pull request"]
     if not _of_a_person(commit):

@@ -21,7 +21,7 @@ from robotkube.foundation.certificates.adapters.certificate_authorities import c
 from robotkube.foundation.forge.adapters.git.connection import ORIGIN, GitConnection, fetch
 from robotkube.foundation.forge.core.trailers import read_trailers
 from robotkube.foundation.runtime.adapters.kept_connections import KeptConnections
-from scenarios.runner.inputs import NANOSECONDS, Commit, MainState, PullRequest
+from scenarios.runner.inputs import NANOSECONDS, Commit, MainState, PullRequestOfRun
 from scenarios.runner.platform.access import Endpoint
 from scenarios.runner.waiting import RunError
 
@@ -126,9 +126,9 @@ class Deployment:
         commits = [self._commit(commit) for _, commit in zip(range(COMMITS_MAX), walk, strict=False)]
         return tuple(commits)
 
-    def pull_requests(self) -> tuple[PullRequest, ...]:
+    def pull_requests(self) -> tuple[PullRequestOfRun, ...]:
         """All pull requests, in whatever state."""
-        requests: list[PullRequest] = []
+        requests: list[PullRequestOfRun] = []
         for page in range(1, PAGES_MAX + 1):
             part = self._call("GET", "/pulls", params={"state": "all", "limit": PULL_REQUESTS_PER_PAGE, "page": page})
             requests += [_pull_request(item) for item in part]
@@ -136,7 +136,7 @@ class Deployment:
                 break
         return tuple(requests)
 
-    def pull_request(self, number: int) -> PullRequest:
+    def pull_request(self, number: int) -> PullRequestOfRun:
         """One pull request."""
         return _pull_request(self._call("GET", f"/pulls/{number}"))
 
@@ -274,7 +274,7 @@ def specification_digests(releases: Mapping[str, Mapping[str, Any]]) -> dict[str
     }
 
 
-def _pull_request(item: Mapping[str, Any]) -> PullRequest:
+def _pull_request(item: Mapping[str, Any]) -> PullRequestOfRun:
     merged = bool(item.get("merged"))
     commit = item.get("merge_commit_sha") if merged else None
-    return PullRequest(int(item["number"]), str(item.get("title", "")), merged, str(commit) if commit else None)
+    return PullRequestOfRun(int(item["number"]), str(item.get("title", "")), merged, str(commit) if commit else None)

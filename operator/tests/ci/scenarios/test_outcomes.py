@@ -15,7 +15,7 @@ from scenarios.runner.inputs import (
     Commit,
     MainState,
     PodOfRun,
-    PullRequest,
+    PullRequestOfRun,
     RunInputs,
     StepDone,
     TaskCondition,
@@ -246,6 +246,6 @@ def test_without_an_overlap_nothing_is_shared(run: Any) -> None:
 def test_commits_without_a_task_say_their_cause(trailers: dict[str, str], missing: tuple[str, ...]) -> None:
     several = {name: (value,) for name, value in trailers.items()}
     commit = Commit("a" * 40, ("b" * 40,), "manager", "deploy", 1, several, ("releases/a/b.yaml",))
-    entry = audit.entry(commit, PullRequest(1, "deploy", True, commit.sha))
+    entry = audit.entry(commit, PullRequestOfRun(1, "deploy", True, commit.sha))
     assert entry.missing[: len(missing)] == missing
     assert bool(entry.missing) == bool(missing)

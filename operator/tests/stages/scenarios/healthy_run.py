@@ -252,8 +252,8 @@ def _plan(number: int, cause: str, edge: inputs.Edge | None, time: int) -> input
     )
 
 
-def _request(plan: inputs.Plan) -> inputs.PullRequest:
-    return inputs.PullRequest(plan.pull_request or 0, plan.subject, True, plan.commit)
+def _request(plan: inputs.Plan) -> inputs.PullRequestOfRun:
+    return inputs.PullRequestOfRun(plan.pull_request or 0, plan.subject, True, plan.commit)
 
 
 def _seed() -> inputs.Commit:

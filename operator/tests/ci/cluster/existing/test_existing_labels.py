@@ -13,7 +13,7 @@ import yaml
 
 from ci.cluster.api_server import node_states
 from ci.cluster.existing import mapping, registry
-from ci.cluster.existing.labels import ADDED, Change, GivenNode, adding, removing, wanted_labels
+from ci.cluster.existing.labels import ADDED, GivenNode, NodeChange, adding, removing, wanted_labels
 from ci.cluster.existing.mapping import AgentEntry, AgentsFile
 from ci.cluster_contract import sharing
 from ci.cluster_contract.topology import chart_agents
@@ -35,12 +35,12 @@ NODES = (
 )
 
 
-def written(nodes: Sequence[GivenNode], changes: Sequence[Change]) -> tuple[GivenNode, ...]:
+def written(nodes: Sequence[GivenNode], changes: Sequence[NodeChange]) -> tuple[GivenNode, ...]:
     """The Nodes after the changes, as an API server merges them."""
     by_name = {change.node: change for change in changes}
 
     def merged(node: GivenNode) -> GivenNode:
-        change = by_name.get(node.name, Change(node.name, {}, {}))
+        change = by_name.get(node.name, NodeChange(node.name, {}, {}))
         both = {**node.labels, **change.labels}, {**node.annotations, **change.annotations}
         labels, annotations = ({key: value for key, value in one.items() if value is not None} for one in both)
         return replace(node, labels=labels, annotations=annotations)
