@@ -175,9 +175,12 @@ def test_a_group_writes_in_its_own_namespaces_alone() -> None:
         ({"parameters": []}, "parameters: must be a mapping"),
         ({"priority": 1001}, "priority: must be a whole number from 0 to 1000"),
         ({"priority": True}, "priority: must be a whole number from 0 to 1000"),
+        ({"priority": 0.5}, "priority: must be a whole number from 0 to 1000"),
+        ({"priority": None}, "priority: must be a whole number from 0 to 1000"),
         ({"reason": "two\nlines"}, "reason: must be one line of at most 200 characters"),
         ({"requester": "somebody else"}, "requester: unknown key"),
         ({"manager": "http://evil.example"}, "manager: 'http://evil.example' must match"),
+        ({"manager": None}, "manager: missing"),
     ],
 )
 def test_a_request_of_another_form_is_refused_with_its_key(changed: dict[str, Any], problem: str) -> None:
@@ -185,11 +188,19 @@ def test_a_request_of_another_form_is_refused_with_its_key(changed: dict[str, An
         read_request({**REQUEST, **changed})
 
 
+def test_a_whole_number_may_be_written_as_json_has_it() -> None:
+    assert read_request({**REQUEST, "priority": 7.0}).document("a", "anna", "now")["spec"]["priority"] == 7
+
+
 def test_requests_that_cannot_be_read_are_refused() -> None:
     anna = Somebody()
     assert refusal(anna.asks("/api/tasks", [1]))[0] == 422
     assert refusal(anna.asks("/api/explain", {"withdraw": "x"}))[0] == 422
     assert refusal(anna.asks("/api/explain", {"withdraw": ["a/b"]}))[0] == 422
+    for manager in (None, "", ["manager"]):
+        assert refusal(anna.asks("/api/explain", {"withdraw": "cloud-0/meeting", "manager": manager})) == (
+            422, "Give the name of a manager in `manager`, or leave it out.",
+        )  # fmt: skip
     assert refusal(anna.asks("/api/explain", {**REQUEST, "manager": "north"})) == (
         422, "Name one of manager, south in `manager`, or none.",
     )  # fmt: skip

@@ -82,8 +82,8 @@ def read_request(document: Any) -> ApplicationRequest:
     parameters = given.get("parameters", {})
     if not isinstance(parameters, Mapping):
         reader.problems.append("parameters: must be a mapping")
-    priority = given.get("priority")
-    if priority is not None and not (type(priority) is int and 0 <= priority <= PRIORITY_MAX):
+    priority = _whole(given["priority"]) if "priority" in given else None
+    if "priority" in given and (priority is None or not 0 <= priority <= PRIORITY_MAX):
         reader.problems.append(f"priority: must be a whole number from 0 to {PRIORITY_MAX}")
     reason = reader.prose(given.get("reason", ""), "reason")
     if len(reason) > REASON_CHARACTERS_MAX or not reason.isprintable():
@@ -94,7 +94,13 @@ def read_request(document: Any) -> ApplicationRequest:
         parameters=parameters,
         priority=priority,
         reason=reason,
-        manager=reader.word(given.get("manager"), "manager", NAME, ""),
+        manager=reader.word(given["manager"], "manager", NAME) if "manager" in given else "",
     )
     reader.finish()
     return request
+
+
+def _whole(value: Any) -> int | None:
+    """The whole number `value`, which JSON may write as 7.0, too; None when it is none."""
+    whole = type(value) is int or (type(value) is float and value.is_integer())
+    return int(value) if whole else None

@@ -21,7 +21,7 @@ from robotkube.delivery.console.core.rate_limits import RateLimits, RequestRate
 from robotkube.delivery.console.ports import ManagerPages, PeoplesTasks, WhatIf
 from robotkube.errors import InputError, RefusalError, RobotKubeError
 from robotkube.foundation.documents.core.json_codec import read_json
-from robotkube.foundation.documents.core.patterns import TASK
+from robotkube.foundation.documents.core.patterns import NAME, TASK
 from robotkube.foundation.documents.core.times import time_text
 
 BODY_BYTES_MAX = 64 * 1024
@@ -124,7 +124,10 @@ def _withdrawal(document: Mapping[str, Any]) -> tuple[Mapping[str, Any], str, st
         raise ProblemError(
             422, "No question", "Give <namespace>/<name> in `withdraw`, and nothing but `manager` besides."
         )
-    return {"withdraw": key}, key.partition("/")[0], str(document.get("manager", ""))
+    manager = document.get("manager")
+    if "manager" in document and not (isinstance(manager, str) and NAME.fullmatch(manager)):
+        raise ProblemError(422, "No question", "Give the name of a manager in `manager`, or leave it out.")
+    return {"withdraw": key}, key.partition("/")[0], manager or ""
 
 
 def _task(asked: ApplicationRequest, asker: str) -> tuple[Mapping[str, Any], str, str]:
