@@ -3,6 +3,7 @@ allows and what it does not: answers are as the document says, whoever asks and 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -175,6 +176,15 @@ def test_what_each_operation_is_for_is_as_the_document_says(name: str) -> None:
     answer = TRIED.ask(case, Circumstances())
     case.validate_response(answer, checks=AS_DOCUMENTED)
     assert answer.status_code == SUCCESSES.get(name, 200)
+
+
+@pytest.mark.parametrize("path", CONTRACT["paths"])
+def test_an_address_says_which_methods_it_has(path: str) -> None:
+    TRIED.open(Circumstances("everybody"))
+    documented = {method.upper() for method in CONTRACT["paths"][path]}
+    answer = Client(TRIED, URL).request("PUT", re.sub(r"{\w+}", "a", path))
+    assert (answer.status_code, answer.headers["content-type"]) == (405, "application/problem+json")
+    assert set(answer.headers["allow"].split(", ")) - {"HEAD"} == documented
 
 
 def test_the_document_is_read_whole() -> None:

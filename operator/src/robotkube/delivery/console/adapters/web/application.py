@@ -16,7 +16,7 @@ from starlette.middleware import Middleware
 from starlette.middleware.gzip import GZipMiddleware
 from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
-from starlette.routing import Route
+from starlette.routing import Match, Route
 
 from robotkube.delivery.console.adapters.web import streams
 from robotkube.delivery.console.adapters.web.asking import AskedParties, TaskRequests
@@ -32,6 +32,7 @@ from robotkube.delivery.console.ports import ModelReading
 from robotkube.foundation.runtime.ports import Series, by_one
 from robotkube.robots.export.core.foxglove_layout import SUFFIX, recording_layout
 
+FILES = "/{path:path}"
 COMPRESSED_BYTES_MIN = 1024
 ID_CHARACTERS_MAX = 600
 FILE_NAME = re.compile(r"[^A-Za-z0-9._-]")  # what an agent calls its recordings is not believed to be a name of a file
@@ -85,7 +86,7 @@ class Console:
             Route("/auth/login", self._people.login),
             Route("/auth/callback", self._people.callback),
             Route("/auth/logout", self._people.logout, methods=["POST"]),
-            Route("/{path:path}", self._file),
+            Route(FILES, self._file),
         ]
 
     async def _health(self, request: Request) -> Response:
@@ -194,6 +195,15 @@ async def _refused(request: Request, problem: Exception) -> Response:
 
 async def _refused_by_path(request: Request, problem: Exception) -> Response:
     assert isinstance(problem, HTTPException)
-    return ProblemError(
-        problem.status_code, problem.detail, f"{request.method} {request.scope['path'][:200]}"
-    ).response()
+    detail = f"{request.method} {request.scope['path'][:200]}"
+    response = ProblemError(problem.status_code, problem.detail, detail).response()
+    if problem.status_code == 405:
+        response.headers["Allow"] = ", ".join(_methods(request))
+    return response
+
+
+def _methods(request: Request) -> list[str]:
+    """The methods of a request's address, of which several routes may have some."""
+    routes = [route for route in request.app.routes if route.matches(request.scope)[0] is not Match.NONE]
+    own = [route for route in routes if route.path != FILES] or routes
+    return sorted({method for route in own for method in route.methods})
