@@ -50,6 +50,7 @@ AS_DOCUMENTED = [
     checks.response_headers_conformance,
     checks.response_schema_conformance,
     checks.negative_data_rejection,
+    checks.unsupported_method,
 ]
 FITTING: Mapping[str, Mapping[str, Any]] = {
     "changes": {"query": {"after": "e.1"}},
@@ -81,14 +82,15 @@ class Circumstances:
     provider_is_away: bool = False
 
 
-ERRORS = (None, RefusalError("Forbidden", "no"), InputError("no"), UnavailableError("no"))
-CIRCUMSTANCES = st.builds(
-    Circumstances,
-    st.sampled_from(["writer", "member", "nobody", "everybody"]),
-    st.sampled_from(ERRORS),
-    st.booleans(),
-    st.booleans(),
-)
+ADVERSE = [
+    *(Circumstances(who) for who in ("member", "nobody", "everybody")),
+    *(
+        Circumstances(error=error)
+        for error in (RefusalError("Forbidden", "no"), InputError("no"), UnavailableError("no"))
+    ),
+    Circumstances(names_are_taken=True),
+    Circumstances(provider_is_away=True),
+]
 
 
 class Tried:
@@ -145,6 +147,19 @@ def _beating_at_once() -> Iterator[None]:
         yield
 
 
+def assert_as_documented(case: schemathesis.Case[Any], circumstances: Circumstances) -> None:
+    answer = TRIED.ask(case, circumstances)
+    case.validate_response(answer, checks=AS_DOCUMENTED)
+    said = f"{circumstances}: {case.as_curl_command()}\n{answer.status_code} {answer.text}"
+    if answer.status_code >= 500:
+        assert answer.status_code == 503, said
+        assert circumstances.error or circumstances.provider_is_away, said
+    allowed = case.meta is not None and case.meta.generation.mode is ALLOWED
+    if allowed and answer.status_code in FOR_ITS_FORM and not circumstances.error:
+        problem = answer.json()
+        assert problem["title"] in NOTHING_OF_THIS_NAME or UNPRINTABLE in problem["detail"], said
+
+
 def words(value: Any) -> str:
     return str(getattr(value, "label", getattr(value, "value", value)))
 
@@ -154,20 +169,20 @@ def words(value: Any) -> str:
     [*((operation, ALLOWED) for operation in OPERATIONS), *((operation, FORBIDDEN) for operation in WITH_INPUT)],
     ids=words,
 )
-@given(data=st.data(), circumstances=CIRCUMSTANCES)
+@given(data=st.data(), circumstances=st.just(Circumstances()) | st.sampled_from(ADVERSE))
 def test_answers_are_as_the_document_says(
     operation: Operation, mode: schemathesis.GenerationMode, data: st.DataObject, circumstances: Circumstances
 ) -> None:
-    case = data.draw(operation.as_strategy(mode))
-    answer = TRIED.ask(case, circumstances)
-    case.validate_response(answer, checks=AS_DOCUMENTED)
-    said = f"{circumstances}: {case.as_curl_command()}\n{answer.status_code} {answer.text}"
-    if answer.status_code >= 500:
-        assert answer.status_code == 503, said
-        assert circumstances.error or circumstances.provider_is_away, said
-    if mode is ALLOWED and answer.status_code in FOR_ITS_FORM and not circumstances.error:
-        problem = answer.json()
-        assert problem["title"] in NOTHING_OF_THIS_NAME or UNPRINTABLE in problem["detail"], said
+    assert_as_documented(data.draw(operation.as_strategy(mode)), circumstances)
+
+
+@pytest.mark.parametrize("operation", OPERATIONS, ids=words)
+def test_answers_at_the_edges_of_what_the_document_allows(operation: Operation) -> None:
+    """Input that just fits and input that just does not, in one way each, and methods that an address does not have."""
+    config = DOCUMENT.config.generation_for(operation=operation)
+    modes = [ALLOWED, FORBIDDEN]
+    for case in DOCUMENT.iter_coverage_cases(operation, generation_modes=modes, generation_config=config):
+        assert_as_documented(case, Circumstances())
 
 
 @pytest.mark.parametrize("name", [name for name in BY_NAME if name != "callback"])
@@ -176,6 +191,14 @@ def test_what_each_operation_is_for_is_as_the_document_says(name: str) -> None:
     answer = TRIED.ask(case, Circumstances())
     case.validate_response(answer, checks=AS_DOCUMENTED)
     assert answer.status_code == SUCCESSES.get(name, 200)
+
+
+@pytest.mark.parametrize("circumstances", ADVERSE, ids=repr)
+def test_what_each_operation_answers_where_it_cannot_is_as_the_document_says(circumstances: Circumstances) -> None:
+    for name, operation in BY_NAME.items():
+        case = operation.Case(**FITTING.get(name, {}))
+        answer = TRIED.ask(case, circumstances)
+        case.validate_response(answer, checks=AS_DOCUMENTED)
 
 
 @pytest.mark.parametrize("path", CONTRACT["paths"])

@@ -33,6 +33,7 @@ from robotkube.foundation.runtime.ports import Series, by_one
 from robotkube.robots.export.core.foxglove_layout import SUFFIX, recording_layout
 
 FILES = "/{path:path}"
+FILE_METHODS = ("GET", "HEAD")
 COMPRESSED_BYTES_MIN = 1024
 ID_CHARACTERS_MAX = 600
 FILE_NAME = re.compile(r"[^A-Za-z0-9._-]")  # what an agent calls its recordings is not believed to be a name of a file
@@ -162,6 +163,8 @@ class Console:
     async def _file(self, request: Request) -> Response:
         path = request.scope["path"]  # not of its URL, which the header Host is a part of
         file = self._around.files.get(path)
+        if file is None and _own_routes(request):
+            raise HTTPException(405)  # an address of another method alone
         if file is None:
             what = "The page is not part of this image" if not self._around.files else "There is no such page"
             raise ProblemError(404, "Not found", f"{what}; what it shows is at /api/snapshot.")
@@ -198,12 +201,12 @@ async def _refused_by_path(request: Request, problem: Exception) -> Response:
     detail = f"{request.method} {request.scope['path'][:200]}"
     response = ProblemError(problem.status_code, problem.detail, detail).response()
     if problem.status_code == 405:
-        response.headers["Allow"] = ", ".join(_methods(request))
+        methods = {method for route in _own_routes(request) for method in route.methods or ()}
+        response.headers["Allow"] = ", ".join(sorted(methods or FILE_METHODS))
     return response
 
 
-def _methods(request: Request) -> list[str]:
-    """The methods of a request's address, of which several routes may have some."""
-    routes = [route for route in request.app.routes if route.matches(request.scope)[0] is not Match.NONE]
-    own = [route for route in routes if route.path != FILES] or routes
-    return sorted({method for route in own for method in route.methods})
+def _own_routes(request: Request) -> list[Route]:
+    """The routes of a request's address, whatever the method: several may have some. None of a file's."""
+    routes = [route for route in request.app.routes if isinstance(route, Route) and route.path != FILES]
+    return [route for route in routes if route.matches(request.scope)[0] is not Match.NONE]
