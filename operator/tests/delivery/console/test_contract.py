@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import httpx
 import pytest
 import schemathesis
 from hypothesis import core, given
@@ -89,8 +90,33 @@ ADVERSE = [
         for error in (RefusalError("Forbidden", "no"), InputError("no"), UnavailableError("no"))
     ),
     Circumstances(names_are_taken=True),
-    Circumstances(provider_is_away=True),
+    Circumstances("nobody", provider_is_away=True),
 ]
+
+
+class Person:
+    """Who asks, before a console where people sign in unless `who` is everybody; signed in already, if he ever is."""
+
+    def __init__(self, who: str) -> None:
+        self.provider = AccountProvider(preferred_username="anna", groups=["robotkube"])
+        signing_in = None if who == "everybody" else SETTINGS
+        writers = WRITERS if who == "writer" else ()
+        self.people = People(signing_in, OpenIdConnect(SETTINGS, self.provider.client), writers)
+        self.headers: dict[str, str] = {}
+        self.client = Client(self.console(PlatformInMemory()), URL)
+        if who in ("writer", "member"):
+            assert self.sign_in().status_code == 303
+            self.headers = {"X-CSRF-Token": self.client.get("/api/session").json()["csrf"]}
+
+    def sign_in(self) -> httpx.Response:
+        """Go to the provider and come back."""
+        begun = self.client.get("/auth/login")
+        return self.client.get("/auth/callback", params=self.provider.consent(begun.headers["location"]))
+
+    def console(self, platform: PlatformInMemory) -> ASGIApp:
+        """A console that knows him, and has answered nothing yet."""
+        around = ConsoleSurroundings(["console.example"], SETTINGS.encrypted)
+        return Console(filled(), self.people, platform.asking, around).app
 
 
 class Tried:
@@ -98,6 +124,7 @@ class Tried:
     for all of them, as Schemathesis keeps each that it has asked."""
 
     def __init__(self) -> None:
+        self._people: dict[str, Person] = {}
         self._console: ASGIApp | None = None
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -109,32 +136,17 @@ class Tried:
         self, case: schemathesis.Case[Any], circumstances: Circumstances, headers: Mapping[str, str] | None = None
     ) -> schemathesis.Response:
         """The answer to a request."""
-        provider = self.open(circumstances)
-        client = Client(self, URL)
-        session = {"X-CSRF-Token": sign_in(client, provider)} if circumstances.who in ("writer", "member") else {}
-        provider.away = circumstances.provider_is_away
-        return case.call(URL, app=self, cookies=dict(client.cookies), headers={**session, **(headers or {})})
-
-    def open(self, circumstances: Circumstances) -> AccountProvider:
-        """Begin a console, and the provider at which people sign in."""
-        provider = AccountProvider(preferred_username="anna", groups=["robotkube"])
-        writers = WRITERS if circumstances.who == "writer" else ()
-        signing_in = None if circumstances.who == "everybody" else SETTINGS
-        people = People(signing_in, OpenIdConnect(SETTINGS, provider.client), writers)
+        person = self._people.pop(circumstances.who, None) or Person(circumstances.who)
+        if not case.path.startswith("/auth/"):  # which changes sessions
+            self._people[circumstances.who] = person
         platform = PlatformInMemory()
         platform.tasks["cloud-0/meeting"] = {}
         platform.error = circumstances.error
         platform.names_are_taken = circumstances.names_are_taken
-        around = ConsoleSurroundings(["console.example"], SETTINGS.encrypted)
-        self._console = Console(filled(), people, platform.asking, around).app
-        return provider
-
-
-def sign_in(client: Client, provider: AccountProvider) -> str:
-    """The word of the session that begins, for the header X-CSRF-Token."""
-    begun = client.get("/auth/login")
-    client.get("/auth/callback", params=provider.consent(begun.headers["location"]))
-    return str(client.get("/api/session").json()["csrf"])
+        person.provider.away = circumstances.provider_is_away
+        self._console = person.console(platform)
+        given_headers = {**person.headers, **(headers or {})}
+        return case.call(URL, app=self, cookies=dict(person.client.cookies), headers=given_headers)
 
 
 TRIED = Tried()
@@ -203,9 +215,8 @@ def test_what_each_operation_answers_where_it_cannot_is_as_the_document_says(cir
 
 @pytest.mark.parametrize("path", CONTRACT["paths"])
 def test_an_address_says_which_methods_it_has(path: str) -> None:
-    TRIED.open(Circumstances("everybody"))
     documented = {method.upper() for method in CONTRACT["paths"][path]}
-    answer = Client(TRIED, URL).request("PUT", re.sub(r"{\w+}", "a", path))
+    answer = Person("everybody").client.request("PUT", re.sub(r"{\w+}", "a", path))
     assert (answer.status_code, answer.headers["content-type"]) == (405, "application/problem+json")
     assert set(answer.headers["allow"].split(", ")) - {"HEAD"} == documented
 
@@ -221,10 +232,7 @@ def test_other_random_tests_say_which_example_fails() -> None:
 
 
 def test_the_end_of_signing_in_is_as_the_document_says() -> None:
-    client = Client(TRIED, URL)
-    provider = TRIED.open(Circumstances())
-    begun = client.get("/auth/login")
-    answer = client.get("/auth/callback", params=provider.consent(begun.headers["location"]))
+    answer = Person("nobody").sign_in()
     BY_NAME["callback"].Case().validate_response(answer, checks=AS_DOCUMENTED)
     assert answer.status_code == 303
 
