@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -40,6 +41,15 @@ def merged(installation: Installation, number: int) -> bool:
     return bool(installation.pull_request(number)["merged"])
 
 
+def decided(gate: RunningGate) -> dict[int, dict[str, Any]]:
+    """The gate's last decisions by pull request."""
+    return {decision["pull_request"]: decision for decision in gate.gate.decisions.as_json()["decisions"]}
+
+
+def checks(decision: dict[str, Any]) -> set[str]:
+    return {check["check"] for check in decision["checks"]}
+
+
 def wait_for_refusal(installation: Installation, number: int) -> str:
     """The comments of a pull request that the gate closed without merging."""
     until(lambda: installation.pull_request(number)["state"] == "closed", "closed")
@@ -60,6 +70,12 @@ def test_a_good_proposal_becomes_main_and_is_announced(
     assert pull["merge_commit_sha"] == commit
     assert pull["merged_by"]["login"] == "gate"
     until(lambda: controller.announced(commit), "announced")
+    until(lambda: number in decided(gate), "told")
+    decision = decided(gate)[number]
+    assert (decision["verdict"], decision["way"], decision["commit"]) == ("accepted", "automatic", commit)
+    assert {"images are those that the evidence covers", "its message names what it changes"} <= checks(decision)
+    assert not [problem for check in decision["checks"] for problem in check["problems"]]
+    assert sum(check["seconds"] for check in decision["checks"]) < decision["seconds"]
     event = next(event for _, event in controller.accepted if event["after"] == commit)
     assert event["before"] == before
     assert event["ref"] == "refs/heads/main"

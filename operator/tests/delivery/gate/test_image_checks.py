@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 
 from robotkube.delivery.deployment.core.releases import Release
+from robotkube.delivery.gate.core.check_results import CheckLog
 from robotkube.delivery.gate.core.release_checks import Rules, release_problems
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.documents.adapters.json_schema import validate
@@ -44,7 +45,7 @@ def rules(version: ChartVersion = VERSION, assurance: str = "verified") -> Rules
 
 
 def problems(values: dict[str, object], by: Rules | None = None, evidence: str = SUMMARY) -> list[str]:
-    return list(release_problems(PATH, replace(RELEASE, values=values, evidence=evidence), by or rules()))
+    return list(release_problems(PATH, replace(RELEASE, values=values, evidence=evidence), by or rules(), CheckLog()))
 
 
 def test_the_verified_image_may_run_wherever_it_comes_from() -> None:

@@ -68,6 +68,9 @@ class Sender:
     def deliver(self, body: bytes, event: str = "push") -> httpx.Response:
         return self._post("/webhook", body, "webhook", event)
 
+    def page(self, path: str) -> httpx.Response:
+        return self._client.get(path)
+
     def send_objects(self, body: bytes) -> httpx.Response:
         return self._post(f"{OBJECTS_PATH}/manager", body, "proposer")
 
@@ -104,6 +107,10 @@ def test_what_is_right_is_received(sender: Sender) -> None:
         for event in EVENTS:
             assert sender.deliver(json.dumps(document).encode(), event).status_code == 204
     assert sender.send_objects(json.dumps(OBJECTS).encode()).status_code == 200
+
+
+def test_who_asks_is_told_what_was_decided(sender: Sender) -> None:
+    assert sender.page("/decisions").json() == {"decisions": []}
 
 
 @given(st.one_of(map(mistaken, DELIVERIES)), st.sampled_from(EVENTS))

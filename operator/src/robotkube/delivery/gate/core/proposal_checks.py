@@ -8,8 +8,8 @@ new. While main is broken a manager may propose nothing but the repair, which is
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 from robotkube.delivery.deployment.core.borders import speaker
 from robotkube.delivery.deployment.core.break_glass import ACCEPTED_PATH, SIGNERS_PATH, read_accepted, read_signers
@@ -29,6 +29,8 @@ from robotkube.delivery.deployment.core.policies.revoked import read_revoked
 from robotkube.delivery.deployment.core.policies.updates import PATH as UPDATES_PATH
 from robotkube.delivery.deployment.core.policies.updates import read_update_policy
 from robotkube.delivery.deployment.core.releases import RELEASES, SOURCES, Release, TaskCause, Tree
+from robotkube.delivery.gate.core import check_results as checks
+from robotkube.delivery.gate.core.check_results import CheckLog, CheckResult, no_clock
 from robotkube.delivery.gate.core.release_checks import Rules, release_problems, source_problems
 from robotkube.errors import DocumentError
 from robotkube.foundation.documents.core.defaults import with_defaults
@@ -77,11 +79,12 @@ class ProposedCommit:
 class ProposalVerdict:
     """The gate's decision about a proposed commit. `stale`: main has moved, so that the author has to build it again (a
     plan, on main's tip; a person's change, where both touched the same files). Else it is accepted when there is no
-    problem. `repair`: it does nothing but bring a broken main back."""
+    problem. `repair`: it does nothing but bring a broken main back. `checks`: what was tried, and what came of it."""
 
     stale: bool = False
     problems: tuple[str, ...] = ()
     repair: bool = False
+    checks: tuple[CheckResult, ...] = field(default=(), compare=False)
 
     @property
     def accepted(self) -> bool:
@@ -100,23 +103,30 @@ def apply_changes(files: Mapping[str, str], changes: Mapping[str, str | None]) -
     return {path: text for path, text in merged.items() if text is not None}
 
 
-def judge(proposal: ProposedCommit, tip: str, rules: Rules) -> ProposalVerdict:
-    """The verdict about a manager's proposal while main stands at `tip`."""
-    if len(proposal.parents) != 1:
-        count = len(proposal.parents)
-        return ProposalVerdict(problems=(f"the commit has {count} parents; it must have exactly one, main's tip",))
+def judge(proposal: ProposedCommit, tip: str, rules: Rules, clock: Callable[[], float] = no_clock) -> ProposalVerdict:
+    """The verdict about a manager's proposal while main stands at `tip`. `clock` counts seconds, of each check."""
+    log = CheckLog(clock)
+    if problems := log.run(checks.ONE_COMMIT, _parent_problems(proposal)):
+        return ProposalVerdict(problems=tuple(problems), checks=log.results)
     message, unreadable = _read_message(proposal.message)
-    outdated = [*_author_problems(message, rules)] if message else []
+    outdated = log.run(checks.AUTHOR, _author_problems(message, rules)) if message else ()
     if outdated:
-        return ProposalVerdict(problems=tuple(outdated))
+        return ProposalVerdict(problems=tuple(outdated), checks=log.results)
     if proposal.parents[0] != tip:
-        return ProposalVerdict(stale=True)
+        log.run(checks.ONE_COMMIT, [checks.MOVED])
+        return ProposalVerdict(stale=True, checks=log.results)
     if rules.repair:
-        return _judge_repair(proposal, message, rules)
-    problems = [*_paths(proposal, rules), *_files(proposal, rules), *unreadable]
-    if message:
-        problems += _message(message, changed_releases(proposal))
-    return ProposalVerdict(problems=tuple(problems))
+        return _judge_repair(proposal, message, rules, log)
+    problems = [*log.run(checks.FILES, _paths(proposal, rules)), *_files(proposal, rules, log)]
+    named = _message(message, changed_releases(proposal)) if message else unreadable
+    problems += log.run(checks.MESSAGE, named)
+    return ProposalVerdict(problems=tuple(problems), checks=log.results)
+
+
+def _parent_problems(proposal: ProposedCommit) -> Iterable[str]:
+    count = len(proposal.parents)
+    if count != 1:
+        yield f"the commit has {count} parents; it must have exactly one, main's tip"
 
 
 def _read_message(text: str) -> tuple[CommitMessage | None, Sequence[str]]:
@@ -137,30 +147,41 @@ def _author_problems(message: CommitMessage, rules: Rules) -> Iterable[str]:
         )
 
 
-def _judge_repair(proposal: ProposedCommit, message: CommitMessage | None, rules: Rules) -> ProposalVerdict:
+def _judge_repair(
+    proposal: ProposedCommit, message: CommitMessage | None, rules: Rules, log: CheckLog
+) -> ProposalVerdict:
     """The verdict about a proposal while main is broken: only what main last had passes, without anybody's approval."""
     broken = ", ".join(proposal.before.suspects[:SUSPECTS_NAMED_MAX])
     if message is None or REPAIR not in message.kinds:
         problem = f"main is broken ({broken}): a plan with RobotKube-Cause: {REPAIR} comes first"
-        return ProposalVerdict(problems=(problem,))
-    problems = [*_emptiness(proposal), *(_irregular(path) for path in proposal.irregular)]
-    problems += [
-        f"{path}: a repair brings back what main last had, or removes what it did not have; this is neither"
-        for path, text in sorted(proposal.changes.items())
-        if path not in rules.repair or rules.repair[path] != text
-    ]
-    problems += _foreign_namespaces(proposal, rules)
-    return ProposalVerdict(problems=tuple(problems), repair=not problems)
+        log.run(checks.REPAIR_ONLY, [problem])
+        return ProposalVerdict(problems=(problem,), checks=log.results)
+    touched = [*_emptiness(proposal), *(_irregular(path) for path in proposal.irregular)]
+    problems = [*log.run(checks.FILES, touched), *log.run(checks.REPAIR_ONLY, _beyond_repair(proposal, rules))]
+    problems += log.run(checks.NAMESPACES, _foreign_namespaces(proposal, rules))
+    return ProposalVerdict(problems=tuple(problems), repair=not problems, checks=log.results)
 
 
-def judge_person(proposal: ProposedCommit, rules: Rules) -> ProposalVerdict:
+def _beyond_repair(proposal: ProposedCommit, rules: Rules) -> Iterable[str]:
+    for path, text in sorted(proposal.changes.items()):
+        if path not in rules.repair or rules.repair[path] != text:
+            yield f"{path}: a repair brings back what main last had, or removes what it did not have; this is neither"
+
+
+def judge_person(proposal: ProposedCommit, rules: Rules, clock: Callable[[], float] = no_clock) -> ProposalVerdict:
     """The verdict about what a person proposes: files as `judge` asks of them, policies that can be read. The commit's
     message is the person's; `stale` does not keep the other problems from being named."""
-    problems = [_irregular(path) for path in proposal.irregular]
-    problems += _emptiness(proposal)
-    problems += [problem for path in sorted(proposal.changes) for problem in _place(path)]
-    problems += [*_files(proposal, rules), *_policies(proposal, rules)]
-    return ProposalVerdict(stale=bool(proposal.overlaps), problems=tuple(problems))
+    log = CheckLog(clock)
+    problems = [*log.run(checks.FILES, _persons_paths(proposal)), *_files(proposal, rules, log)]
+    problems += log.run(checks.POLICIES, _policies(proposal, rules))
+    return ProposalVerdict(stale=bool(proposal.overlaps), problems=tuple(problems), checks=log.results)
+
+
+def _persons_paths(proposal: ProposedCommit) -> Iterable[str]:
+    yield from (_irregular(path) for path in proposal.irregular)
+    yield from _emptiness(proposal)
+    for path in sorted(proposal.changes):
+        yield from _place(path)
 
 
 @dataclass(frozen=True)
@@ -187,16 +208,16 @@ def changed_releases(proposal: ProposedCommit) -> tuple[ChangedRelease, ...]:
     return tuple(pair for pair in pairs if pair.before or pair.after)
 
 
-def _files(proposal: ProposedCommit, rules: Rules) -> Iterable[str]:
+def _files(proposal: ProposedCommit, rules: Rules, log: CheckLog) -> Iterable[str]:
     """Problems of the files that a change brings to releases/ and sources/, whoever proposes it."""
-    yield from _new_problems(proposal)
-    yield from _foreign_namespaces(proposal, rules)
-    yield from _orphans(proposal)
+    yield from log.run(checks.TOGETHER, _new_problems(proposal))
+    yield from log.run(checks.NAMESPACES, _foreign_namespaces(proposal, rules))
+    yield from log.run(checks.USED, _orphans(proposal))
     for path in sorted(proposal.changes):
         if path in proposal.after.sources:
-            yield from source_problems(path, proposal.after.sources[path], rules)
+            yield from log.run(checks.ORIGIN, source_problems(path, proposal.after.sources[path], rules))
         if path in proposal.after.releases:
-            yield from release_problems(path, proposal.after.releases[path], rules)
+            yield from release_problems(path, proposal.after.releases[path], rules, log)
 
 
 def _emptiness(proposal: ProposedCommit) -> Iterable[str]:

@@ -14,6 +14,7 @@ from typing import Any
 from robotkube.delivery.deployment.core.borders import Borders, said_as
 from robotkube.delivery.deployment.core.heard_topics import heard_topics
 from robotkube.delivery.deployment.core.releases import Release, Source, TaskCause
+from robotkube.delivery.gate.core.check_results import CHART, IMAGES, PARAMETERS, TOPICS, VALUES, CheckLog
 from robotkube.errors import InputError
 from robotkube.foundation.documents.core.defaults import with_defaults
 from robotkube.registry.catalogue.core.catalogue import Catalogue
@@ -54,15 +55,21 @@ def source_problems(path: str, source: Source, rules: Rules) -> Iterable[str]:
         yield f"{path}: spec.url {source.url!r} must be {rules.charts_url}/{source.chart}"
 
 
-def release_problems(path: str, release: Release, rules: Rules) -> Iterable[str]:
+def release_problems(path: str, release: Release, rules: Rules, log: CheckLog) -> Iterable[str]:
     """Problems of a release: of chart and evidence first, since values mean nothing for a chart that may not run, and
     images last, since only valid values are rendered."""
-    problems = list(_chart(release, rules))
+
+    def tried(name: str, problems: Iterable[str]) -> Sequence[str]:
+        return log.run(name, (f"{path}: {problem}" for problem in problems))
+
+    problems = tried(CHART, _chart(release, rules))
     if not problems:
-        problems = [*_values(release, rules), *_links(release, rules), *_parameters(release, rules)]
-    if not problems:
-        problems = list(_images(release, rules))
-    yield from (f"{path}: {problem}" for problem in problems)
+        problems = [
+            *tried(VALUES, _values(release, rules)),
+            *tried(TOPICS, _links(release, rules)),
+            *tried(PARAMETERS, _parameters(release, rules)),
+        ]
+    return problems or tried(IMAGES, _images(release, rules))
 
 
 def _chart(release: Release, rules: Rules) -> Iterable[str]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import logging
 import random
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -23,7 +24,9 @@ from robotkube.delivery.deployment.core.merge_records import MergeRecord
 from robotkube.delivery.deployment.core.policies.merge import APPROVAL, AUTOMATIC, Way
 from robotkube.delivery.deployment.loops.unchecked_commits import UncheckedWatch
 from robotkube.delivery.gate.core import verdict_comments
+from robotkube.delivery.gate.core.check_results import READABLE, CheckResult
 from robotkube.delivery.gate.core.proposal_checks import ProposalVerdict, ProposedCommit
+from robotkube.delivery.gate.loops.decisions import Decision, Decisions
 from robotkube.delivery.gate.loops.gate_statistics import GateStatistics
 from robotkube.delivery.gate.loops.merge_records import MergeRecorder
 from robotkube.delivery.gate.loops.pending_objects import PendingObjects
@@ -81,8 +84,8 @@ class Gate:
     """The gate of one deployment repository; `run` on one thread, `wake` from any.
 
     `commits` makes commits in the clone of `main`; `images` renders releases; `monotonic` is a clock in seconds that
-    never goes back; `managers` are notified of every commit that was merged here, sooner than by the forge; `recorder`
-    signs what was merged, and `unchecked` watches main for what was not.
+    never goes back, `wall` one in nanoseconds since 1970; `managers` are notified of every commit that was merged here,
+    sooner than by the forge; `recorder` signs what was merged, and `unchecked` watches main for what was not.
     """
 
     def __init__(
@@ -100,6 +103,7 @@ class Gate:
         recorder: MergeRecorder | None = None,
         unchecked: UncheckedWatch | None = None,
         jitter: Random = random.random,
+        wall: Callable[[], int] = time.time_ns,
     ) -> None:
         self._forge = forge
         self._jitter = jitter
@@ -110,9 +114,10 @@ class Gate:
         self._recorder = recorder
         self._settings = settings
         self._monotonic = monotonic
-        self._rules = GateRules(settings, main, catalogue, validate, images)
+        self._rules = GateRules(settings, main, catalogue, validate, images, monotonic)
         self._unchecked = UncheckedReport(unchecked) if unchecked else None
         self.statistics = GateStatistics()
+        self.decisions = Decisions(wall)
         self._announced = ""
         self._pending_objects = PendingObjects()
         self._settled: dict[int, str] = {}
@@ -266,7 +271,7 @@ class Gate:
         try:
             case = self._case_of_sent_objects(pull) or self._fetched_case(pull)
         except DocumentError as error:
-            self._unreadable(pull, str(error))
+            self._unreadable(pull, str(error), started)
             return
         if case is None:
             return
@@ -283,7 +288,7 @@ class Gate:
             if pushed != commit.id:  # a person's: joined with main as it is now, in the next round
                 self._resync_due = True
                 return
-            verdict = ProposalVerdict(stale=True)
+            verdict = replace(verdict, stale=True)
         if not merged:
             self._answer(case, verdict)
         decided = self._monotonic()
@@ -340,7 +345,7 @@ class Gate:
         (self._recorder.merged if merged else self._recorder.dropped)(record)
         return merged
 
-    def _unreadable(self, pull: PullRequest, problem: str) -> None:
+    def _unreadable(self, pull: PullRequest, problem: str, started: float) -> None:
         """Refuse a pull request that cannot even be read."""
         self.statistics.verdicts["refused"] += 1
         log.error("proposal unreadable number=%d problem=%r", pull.number, problem)
@@ -348,6 +353,9 @@ class Gate:
         if self._plans(pull):
             self._forge.close(pull.number)
         self._settled[pull.number] = pull.head
+        seconds = self._monotonic() - started
+        checks = [CheckResult(READABLE, (problem,), seconds)]
+        self.decisions.put(Decision(pull.number, pull.author, pull.head, "refused", "", (), checks, seconds))
 
     def _case_of_sent_objects(self, pull: PullRequest) -> _Case | None:
         """A manager's proposal as the objects that the same manager sent have it; None unless it may be merged. All
@@ -440,6 +448,13 @@ class Gate:
         self.statistics.verdicts[name] += 1
         self.statistics.sources[case.source] += 1
         self.statistics.decision_seconds += decided - started
+        self.decisions.put(
+            Decision(
+                *(case.pull.number, case.pull.author, case.commit.id, name, case.way, case.approvers),
+                verdict.checks,
+                decided - started,
+            )
+        )
         log.info(
             "proposal number=%d author=%s commit=%s verdict=%s way=%s problems=%d source=%s "
             "fetch_ms=%.0f check_ms=%.1f decide_ms=%.0f hook_ms=%.0f subject=%r",

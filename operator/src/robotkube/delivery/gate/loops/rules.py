@@ -6,7 +6,7 @@ Nothing here comes from the branch that is judged.
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -20,6 +20,7 @@ from robotkube.delivery.deployment.core.releases import Release, Tree, read_tree
 from robotkube.delivery.deployment.core.repairs import repair
 from robotkube.delivery.deployment.loops.main_history import Terms, older_files, policy_files, release_files
 from robotkube.delivery.gate.core import proposal_checks
+from robotkube.delivery.gate.core.check_results import no_clock
 from robotkube.delivery.gate.core.release_checks import Rules
 from robotkube.errors import DocumentError
 from robotkube.foundation.forge.ports.repositories import Commit, MainBranch
@@ -68,7 +69,7 @@ class _Main:
 
 
 class GateRules:
-    """The rules for each account, while main stands where `main` has it."""
+    """The rules for each account, while main stands where `main` has it; `clock` counts seconds, of each check."""
 
     def __init__(
         self,
@@ -77,7 +78,9 @@ class GateRules:
         catalogue: AssuredCatalogue,
         validate: Validate,
         images: RenderedImages,
+        clock: Callable[[], float] = no_clock,
     ) -> None:
+        self._clock = clock
         self._settings = settings
         self._main = main
         self._catalogue = catalogue
@@ -158,9 +161,9 @@ class GateRules:
         proposer = self._settings.proposer(account)
         if proposer is None:
             rules = self._rules(account, frozenset(everywhere), frozenset())
-            return proposal_checks.judge_person(proposal, rules)
+            return proposal_checks.judge_person(proposal, rules, self._clock)
         rules = self._rules(account, proposer.namespaces, frozenset(everywhere) - proposer.namespaces)
-        return proposal_checks.judge(proposal, self._main.tip, rules)
+        return proposal_checks.judge(proposal, self._main.tip, rules, self._clock)
 
     def way(self, author: str, paths: Sequence[str]) -> Way:
         """The way in which main's policy lets a pull request be merged; an account that is no manager is a person's."""
