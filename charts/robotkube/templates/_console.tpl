@@ -63,6 +63,7 @@ managers:
   url: "{{ include "robotkube.processScheme" $ }}://{{ include "robotkube.host" (dict "root" $ "name" .name) }}:8080"
   namespaces: {{ toJson .scope.namespaces }}
 {{- end }}
+gate: {url: "{{ include "robotkube.processScheme" . }}://{{ include "robotkube.gateHost" . }}:8080"}
 hosts: {{ include "robotkube.consoleHosts" . }}
 {{- with $console.proxies }}
 proxies: {{ toJson . }}

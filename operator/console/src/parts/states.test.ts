@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { Plan, Task } from "../live/model";
-import { planSeconds, planWords, taskGroup, taskWords } from "./states";
+import { checksWords, planSeconds, planWords, taskGroup, taskWords } from "./states";
 
 type Condition = Task["conditions"][number];
 const condition = (type: Condition["type"], status: Condition["status"], message = ""): Condition => ({
@@ -44,6 +44,16 @@ describe("a plan", () => {
     expect(planWords(plan({ created: ["a", "b"], removed: ["c"] }))).toBe("2 releases created, 1 removed");
     expect(planWords(plan({ changed: ["a"] }))).toBe("1 release changed");
     expect(planWords(plan({}))).toBe("no release touched");
+  });
+  it("says whether the gate's checks hold", () => {
+    const decision = (...problems: string[][]) => {
+      const checks = problems.map((each, number) => ({ check: String(number), problems: each, took_ms: 1 }));
+      return { checks } as NonNullable<Plan["decision"]>;
+    };
+    expect(checksWords(decision([], []))).toBe("2 checks of the gate hold");
+    expect(checksWords(decision([]))).toBe("1 check of the gate holds");
+    expect(checksWords(decision([], ["a"], []))).toBe("1 of 3 checks of the gate does not hold");
+    expect(checksWords(decision(["a"], ["b"]))).toBe("2 of 2 checks of the gate do not hold");
   });
   it("takes from the demand to what runs", () => {
     expect(planSeconds(plan({ demand_seen_ms: 1000, observed_ms: 3500 }))).toBe(2.5);

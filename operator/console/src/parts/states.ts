@@ -54,6 +54,14 @@ export function planWords(plan: Plan): string {
   return parts.join(", ") || "no release touched";
 }
 
+/** What came of the gate's checks: "9 checks of the gate hold", "1 of 3 checks of the gate does not hold". */
+export function checksWords({ checks }: NonNullable<Plan["decision"]>): string {
+  const failed = checks.filter((each) => each.problems.length).length;
+  const all = checks.length === 1 ? "1 check" : `${checks.length} checks`;
+  if (!failed) return `${all} of the gate ${checks.length === 1 ? "holds" : "hold"}`;
+  return `${failed} of ${all} of the gate ${failed === 1 ? "does" : "do"} not hold`;
+}
+
 /** The seconds from the demand to pods that run, undefined while it is under way. */
 export function planSeconds(plan: Plan): number | undefined {
   const began = plan.demand_seen_ms ?? plan.started_ms;

@@ -4,6 +4,7 @@ import { Badge, Cell, Choice, Empty, Out, Rows, Search, Stale, Time } from "../p
 import { PLAN_TONES, PLAN_WORDS, planSeconds, planWords } from "../parts/states";
 import { filter } from "../search";
 import { useItems, useNow, why } from "../state";
+import { Checks } from "./Checks";
 import { Differences } from "./Differences";
 import { duration } from "../words";
 
@@ -86,6 +87,7 @@ function Line({ plan, now }: { plan: Plan; now: number }) {
         {plan.error && <div class="bad">{plan.error}</div>}
         {plan.waits && <div class="quiet">waits: {plan.waits}</div>}
         <Differences plan={plan} />
+        <Checks plan={plan} />
       </Cell>
       <Cell head="Takes">{seconds === undefined ? <span class="quiet">–</span> : duration(seconds)}</Cell>
       <Cell head="Pull request">

@@ -77,6 +77,20 @@ def plans(*more: dict[str, Any], **changed: Any) -> dict[str, Any]:
     return {"started": BEGAN, "plans": [{**plan, **changed}, *more]}
 
 
+def decisions(verdict: str = "accepted", way: str = "automatic", **problems: str) -> dict[str, Any]:
+    """The gate's page /decisions, with a check of values and one of images, and their problem by name."""
+    checks = [
+        {"check": name, "problems": [problems[name]] if name in problems else [], "seconds": seconds}
+        for name, seconds in (("values", 0.0031), ("images", 0.0))
+    ]
+    decision = {"pull_request": 12, "author": "manager", "commit": COMMIT, "verdict": verdict, "way": way}
+    return {
+        "decisions": [
+            {**decision, "approvers": [], "decided": BEGAN + 2 * SECOND, "seconds": 0.25, "checks": checks},
+        ]
+    }
+
+
 def withdrawal() -> dict[str, Any]:
     """The plan that takes the recorder away."""
     [plan] = plans()["plans"]

@@ -7,8 +7,13 @@ from dataclasses import replace
 import pytest
 
 from robotkube.delivery.console.adapters.cluster_documents import pod_documents, release_documents
-from robotkube.delivery.console.core.chains import DONE, FAILED, GONE, WAITING, View, find_of, steps
-from robotkube.delivery.console.core.documents import event_documents, plan_documents, task_document
+from robotkube.delivery.console.core.chains import DONE, FAILED, GONE, WAITING, Step, View, find_of, steps
+from robotkube.delivery.console.core.documents import (
+    decision_documents,
+    event_documents,
+    plan_documents,
+    task_document,
+)
 from robotkube.delivery.console.core.recordings import recording_documents
 from robotkube.foundation.documents.core.times import second_text
 from tests.delivery.console import documents as given
@@ -103,6 +108,40 @@ def test_a_plan_that_the_gate_refused_says_so() -> None:
     by_step = {step.step: step for step in steps(find_of("plan", given.PLAN, all_of_it), all_of_it)}
     assert (by_step["pull request"].state, by_step["pull request"].text) == (FAILED, "the digest is not verified")
     assert by_step["plan"].state == FAILED
+
+
+def checks_of(page: dict[str, object]) -> Step:
+    """The step of the gate's checks in the chain of a plan."""
+    decision = decision_documents(page)[12]
+    plans = {key: {**plan, "decision": decision} for key, plan in plan_documents(given.plans(), "manager").items()}
+    all_of_it = replace(view(), plans=plans)
+    chain = list(steps(find_of("plan", given.PLAN, all_of_it), all_of_it))
+    assert [step.step for step in chain][4:7] == ["pull request", "checks", "commit"]
+    return chain[5]
+
+
+def test_between_pull_request_and_commit_stand_the_gate_s_checks() -> None:
+    step = checks_of(given.decisions())
+    began = given.BEGAN // 1_000_000
+    assert (step.state, step.text, step.kind) == (DONE, "all 2 hold", None)
+    assert (step.time_ms, step.end_ms) == (began + 1750, began + 2000)
+    assert step.details == (("values", "holds (3.1 ms)"), ("images", "holds"))
+    assert step.link == "http://forge/robotkube/deployment/pulls/12"
+
+
+@pytest.mark.parametrize(
+    ("page", "state", "text"),
+    [
+        (given.decisions("refused", images="x is not covered"), FAILED, "1 of 2 did not hold: x is not covered"),
+        (given.decisions("stale", values="main has moved"), FAILED, "1 of 2 did not hold: main has moved"),
+        (given.decisions("stale"), FAILED, "all 2 hold, but main moved meanwhile"),
+        (given.decisions("checked", "approval"), WAITING, "all 2 hold, and somebody has to approve it"),
+        (given.decisions("checked", "closed"), WAITING, "all 2 hold, but the merge policy lets nobody merge it"),
+    ],
+)
+def test_checks_say_what_does_not_hold_and_who_is_waited_for(page: dict[str, object], state: str, text: str) -> None:
+    step = checks_of(page)
+    assert (step.state, step.text) == (state, text)
 
 
 def test_a_plan_on_its_way_waits_and_one_of_before_a_restart_does_not() -> None:

@@ -14,7 +14,7 @@ from robotkube.delivery.console.core.documents import stranger_documents, task_d
 from robotkube.delivery.console.core.recordings import recording_documents
 from robotkube.delivery.console.loops import model as model_module
 from robotkube.delivery.console.loops.model import ReadModel
-from robotkube.delivery.console.loops.page_reading import DetectorReader, ManagerReader
+from robotkube.delivery.console.loops.page_reading import DetectorReader, GateReader, ManagerReader
 from robotkube.delivery.console.ports import Detector, ManagerPages
 from robotkube.delivery.manager.adapters.kubernetes_cluster import read_node, read_nodes
 from robotkube.delivery.manager.core.placement.placement import NodeState
@@ -22,7 +22,7 @@ from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.kubernetes.core.node_agents import NodeAgent
 from tests.delivery.console import documents as given
 
-URL = "http://manager:8080"
+URL, GATE = "http://manager:8080", "https://gate:8080"
 DETECTOR = Detector("cloud-0/recorder-0", given.RECORDER, "10.0.0.7", "recorder")
 EVENTS = "http://10.0.0.7:8081/events"
 RECORDINGS = "http://10.0.0.7:8081/recordings"
@@ -127,6 +127,45 @@ def test_a_manager_that_is_away_leaves_what_it_said(model: ReadModel) -> None:
     assert (source["ok"], source["problem"]) == (False, f"{URL}/plans: nobody answers")
     assert source["advice"]
     assert list(model.documents(kinds.PLANS)) == [given.PLAN]
+
+
+@pytest.mark.parametrize("gate_first", [True, False])
+def test_a_plan_knows_what_the_gate_checked_whichever_page_comes_first(model: ReadModel, gate_first: bool) -> None:
+    pages = Pages(**{f"{GATE}/decisions": given.decisions("refused", images="x is not covered")})
+    readers = [
+        GateReader(model, pages, GATE),
+        ManagerReader(model, pages, ManagerPages("manager", URL), lambda: 0.0),
+    ]
+    assert all(reader.step() for reader in (readers if gate_first else readers[::-1]))
+    decision = model.documents(kinds.PLANS)[given.PLAN]["decision"]
+    assert (decision["verdict"], decision["checks"][1]["problems"]) == ("refused", ["x is not covered"])
+    pages.pages[f"{GATE}/decisions"] = {"decisions": []}
+    assert all(reader.step() for reader in readers)
+    kept = model.documents(kinds.PLANS)[given.PLAN]["decision"]
+    assert kept == decision, "a gate that starts anew has forgotten it, the console has not"
+    version = model.version
+    assert all(reader.step() for reader in readers)
+    assert model.version == version, "nothing new is nothing to send"
+
+
+def test_a_gate_that_is_away_leaves_what_it_said_and_one_of_another_form_is_away(model: ReadModel) -> None:
+    pages = Pages(**{f"{GATE}/decisions": given.decisions()})
+    reader = GateReader(model, pages, GATE)
+    model.put_plans(given.plans(), "manager")
+    assert reader.step()
+    for page, problem in ((None, "404"), ({}, "cannot be read"), ({"decisions": [{}]}, "cannot be read")):
+        pages.pages[f"{GATE}/decisions"] = page
+        assert not reader.step()
+        assert problem in model.documents(kinds.SOURCES)["gate-pages"]["problem"]
+    assert model.documents(kinds.PLANS)[given.PLAN]["decision"]["verdict"] == "accepted"
+
+
+def test_of_too_many_decisions_the_oldest_go(model: ReadModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(model_module, "DECISIONS_MAX", 1)
+    [decision] = given.decisions()["decisions"]
+    model.put_decisions({"decisions": [decision, {**decision, "pull_request": 13}]})
+    model.put_plans(given.plans({**given.plans()["plans"][0], "plan": "b", "pull_request": 13}), "manager")
+    assert [plan["decision"] is None for plan in model.documents(kinds.PLANS).values()] == [True, False]
 
 
 def test_plans_of_one_manager_do_not_take_those_of_another_away(model: ReadModel) -> None:

@@ -43,6 +43,13 @@ def test_the_least(tmp_path: Path) -> None:
     assert settings.agents[0]["records"] is True
 
 
+def test_the_gate_s_pages(tmp_path: Path) -> None:
+    assert read(tmp_path).gate == ""
+    assert read(tmp_path, gate={"url": "https://gate:8080"}).gate == "https://gate:8080"
+    with pytest.raises(DocumentError, match=r"gate\.url"):
+        read(tmp_path, gate={"url": "gate"})
+
+
 def test_who_may_ask_for_tasks(tmp_path: Path) -> None:
     writers = [{"group": "robotkube:Owners", "namespaces": ["cloud-0"]}]
     settings = read(tmp_path, sign_in={**SIGN_IN, "writers": writers}, anybody_reads=None)

@@ -9,7 +9,17 @@ import random
 from dataclasses import dataclass, field
 from typing import Any
 
-from tests.stages.console.documents import NOT_READY, PARAMETERS, RULE, differences, findings, recording
+from tests.stages.console.documents import (
+    CHECKS,
+    NOT_READY,
+    PARAMETERS,
+    RULE,
+    SOURCES,
+    decision,
+    differences,
+    findings,
+    recording,
+)
 
 Document = dict[str, Any]
 ChainRow = tuple[str, str | None, str, str, str, int, int | None, str]
@@ -304,20 +314,6 @@ AGENT: Document = {
     "silent_since_ms": None,
     "hold": None,
 }
-SOURCES = {
-    "api-server-nodes": ["agents"],
-    "api-server-tasks": ["tasks"],
-    "api-server-pods": ["pods"],
-    "api-server-applications": ["releases"],
-    "api-server-inspections": ["strangers"],
-    "manager/manager": ["plans", "catalogue"],
-    "detectors": ["events", "rules", "recordings"],
-    "bridges": ["links"],
-    "broker": ["poses"],
-    "gate": ["plans", "catalogue"],
-    "forge": ["plans", "catalogue"],
-    "argocd-application-controller": ["releases"],
-}
 RULES: Document = {
     "cloud-0/event-detector/lidar-proximity": {
         "name": RULE,
@@ -420,6 +416,7 @@ def plan_document(event: Document, state: str) -> Document:
         "choices": [
             {"task": "cloud-0/recording-3f2a9c", "choice": "recorder on cloud-0: it is the agent that records"}
         ],
+        "decision": decision(began, state, error),
         "demand_seen_ms": began + 20,
         "started_ms": began + 27,
         "proposed_ms": began + 480,
@@ -433,7 +430,9 @@ def steps(event: Document, kind: str, identity: str) -> list[Document]:
     """A chain from the triggering message to the removal, with the thing that was asked for in it."""
     release = identity if kind == "release" else f"cloud-0/recorder-{event['agents'][0]}"
     rows = [*_decided(event), *_delivered(event, release), *_ended(event)]
-    details = [{"label": "pose.position.x", "value": "1.0"}, {"label": "pose.position.y", "value": "2.0"}]
+    values = [{"label": "pose.position.x", "value": "1.0"}, {"label": "pose.position.y", "value": "2.0"}]
+    checks = [{"label": check, "value": f"holds ({took_ms} ms)"} for check, took_ms in CHECKS.items()]
+    details = {"message": values, "plan": values, "checks": checks}
     return [
         {
             "step": step,
@@ -445,7 +444,7 @@ def steps(event: Document, kind: str, identity: str) -> list[Document]:
             "time_ms": time,
             "end_ms": end,
             "link": link,
-            "details": details if step in ("message", "plan") else [],
+            "details": details.get(step, []),
         }
         for step, of, key, title, text, time, end, link in rows
     ]
@@ -472,12 +471,14 @@ def _delivered(event: Document, release: str) -> list[ChainRow]:
     commit = hex_word(event["id"], 40)
     forge = "http://forge.example.com"
     argocd = "http://argocd.example.com"
-    checked = ("pull request 12", "checked by the gate: evidence, digests, schemas, scope")
+    merged = ("pull request 12", "merged by the gate")
+    checked = ("the gate's checks", f"all {len(CHECKS)} hold")
     signed = (commit[:12], "on main, signed by the gate")
     synced = (release.replace("/", "-"), "Synced Healthy")
     runs = (f"{release}-5d9f", "Running on cloud-0")
     return [
-        ("pull request", None, "12", *checked, began + 480, began + 880, f"{forge}/pulls/12"),
+        ("pull request", None, "12", *merged, began + 480, began + 880, f"{forge}/pulls/12"),
+        ("checks", None, "12", *checked, began + 590, began + 870, f"{forge}/pulls/12"),
         ("commit", "commit", commit, *signed, began + 880, None, f"{forge}/commit/{commit}"),
         ("Application", "release", release, *synced, began + 940, began + 1700, argocd),
         ("pod", "pod", f"{release}-5d9f", *runs, began + 1710, began + 2880, ""),

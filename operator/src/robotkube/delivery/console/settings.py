@@ -53,8 +53,9 @@ class ConsoleConfiguration:
     """Everything the process needs, secrets included. Without `sign_in` everybody who reaches it reads, with
     `by_forward` nobody but who may forward ports to its pod reaches it; without `poses` the map has none. `hosts`:
     names by which browsers reach it; `proxies`: whose word counts for who asks; `client_id_file`: has the client id
-    where `sign_in` has none; `writers`: who may ask for tasks; `authorities`: files with those that may have signed
-    certificates of managers, and of the provider, besides the usual ones."""
+    where `sign_in` has none; `gate`: address of the gate's pages, empty where they are not read; `writers`: who may ask
+    for tasks; `authorities`: files with those that may have signed certificates of managers, of the gate, and of the
+    provider, besides the usual ones."""
 
     listen: files.Listen
     log_level: str
@@ -72,6 +73,7 @@ class ConsoleConfiguration:
     authorities: tuple[Path, ...] = ()
     client_id_file: Path | None = None
     by_forward: bool = False
+    gate: str = ""
 
     @property
     def address(self) -> str:
@@ -96,7 +98,10 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ConsoleCo
         document,
         "",
         required,
-        ["poses", "broker", "page", "links", "proxies", "sign_in", "anybody_reads", "by_forward", "authorities"],
+        [
+            *("poses", "broker", "page", "links", "proxies", "sign_in", "anybody_reads", "by_forward", "authorities"),
+            "gate",
+        ],
     )
     namespaces = reader.mapping(root.get("namespaces") or {}, "namespaces", ["platform", "argocd"])
     links = reader.mapping(root.get("links") or {}, "links", [], ["forge", "argocd"])
@@ -118,7 +123,16 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ConsoleCo
         writers=tuple(_writers(reader, root.get("sign_in"))),
         client_id_file=_client_id_file(reader, root.get("sign_in")),
         by_forward=_by_forward(reader, root),
+        gate=_url(reader, root, "gate"),
     )
+
+
+def _url(reader: Reader, root: Mapping[str, Any], key: str) -> str:
+    """The address of a process's pages; empty where there is none."""
+    if root.get(key) is None:
+        return ""
+    given = reader.mapping(root[key], key, ["url"])
+    return reader.word(given.get("url"), f"{key}.url", HTTP_URL)
 
 
 def _agents(reader: Reader, value: Any) -> Sequence[Mapping[str, Any]]:

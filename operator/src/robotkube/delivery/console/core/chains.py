@@ -11,6 +11,7 @@ from typing import Any
 
 from robotkube.delivery.console.core.documents import MERGED, OBSERVED, REFUSED
 from robotkube.delivery.console.core.moments import NS_OF_MS
+from robotkube.delivery.deployment.core.policies.merge import CLOSED
 from robotkube.delivery.deployment.core.releases import application_name
 from robotkube.delivery.tasks.core.task_states import READY
 from robotkube.delivery.tasks.core.task_states import REFUSED as TASK_REFUSED
@@ -20,7 +21,10 @@ EVENT, TASK, PLAN, POD, RELEASE, COMMIT = "event", "task", "plan", "pod", "relea
 RECORDING = "recording"
 WHY_KINDS = (EVENT, TASK, PLAN, POD, RELEASE, COMMIT, RECORDING)
 MESSAGE, PULL_REQUEST, APPLICATION, END = "message", "pull request", "Application", "end"
+CHECKS = "checks"
 FIRST_MESSAGE = "first message"
+ACCEPTED, CHECKED, STALE = "accepted", "checked", "stale"
+"""The gate's words for what it merged, what may be merged once approved, and what main has overtaken."""
 DONE, WAITING, FAILED, GONE = "done", "waiting", "failed", "gone"
 COMMIT_CHARACTERS_MIN = 7
 MS_OF_S = 1000
@@ -239,12 +243,45 @@ def _plan(plan: Document) -> Iterator[Step]:
         number = str(plan["pull_request"])
         times = (plan["proposed_ms"], plan["merged_ms"])
         yield Step(PULL_REQUEST, number, f"pull request {number}", outcome, proposal, None, *times, plan["url"])
+        yield from _checks(plan)
     if plan["commit"]:
         text = "on main" if merged else plan["error"] or "proposed"
         link = _commit_page(plan["url"], plan["commit"])
         standing = DONE if merged else FAILED if plan["error"] else WAITING
         commit = plan["commit"]
         yield Step(COMMIT, commit, commit[:12], text, standing, COMMIT, plan["merged_ms"], plan["synced_ms"], link)
+
+
+def _checks(plan: Document) -> Iterator[Step]:
+    """What the gate tried of a plan's pull request, and what each of it came to; nothing while nobody knows."""
+    decision = plan["decision"]
+    if decision is None:
+        return
+    failed = [check for check in decision["checks"] if check["problems"]]
+    made = len(decision["checks"])
+    text = f"{len(failed)} of {made} did not hold: {failed[0]['problems'][0]}" if failed else f"all {made} hold"
+    state = {ACCEPTED: DONE, CHECKED: WAITING}.get(decision["verdict"], FAILED)
+    details = tuple((check["check"], _check_words(check)) for check in decision["checks"])
+    times = (decision["began_ms"], decision["decided_ms"])
+    number = str(plan["pull_request"])
+    said = text if failed else text + _decision_words(decision)
+    yield Step(CHECKS, number, "the gate's checks", said, state, None, *times, plan["url"], details)
+
+
+def _decision_words(decision: Document) -> str:
+    """What follows for a plan whose checks hold."""
+    if decision["verdict"] == STALE:
+        return ", but main moved meanwhile"
+    if decision["verdict"] == CHECKED:
+        closed = decision["way"] == CLOSED
+        return ", but the merge policy lets nobody merge it" if closed else ", and somebody has to approve it"
+    return f", approved by {', '.join(decision['approvers'])}" if decision["approvers"] else ""
+
+
+def _check_words(check: Document) -> str:
+    """What came of a check, and how long it took, where that is to be measured."""
+    words = "; ".join(check["problems"]) or "holds"
+    return f"{words} ({check['took_ms']:g} ms)" if check["took_ms"] else words
 
 
 def _choices(plan: Document) -> Iterator[tuple[str, str]]:

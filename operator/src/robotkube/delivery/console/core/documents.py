@@ -18,6 +18,7 @@ from robotkube.robots.rules.core.event_documents import is_edge
 
 OPEN, MERGED, OBSERVED, REFUSED = "open", "merged", "observed", "refused"
 START = "start"
+MS_OF_SECOND = 1000
 PLAN_TIMES = ("demand_seen", "started", "proposed", "merged", "synced", "observed")
 
 Object = Mapping[str, Any]
@@ -77,6 +78,7 @@ def plan_document(plan: Object, manager: str) -> dict[str, Any]:
         "waits": str(plan.get("waits") or ""),
         "differences": plan.get("differences"),
         "choices": list(plan.get("choices") or ()),
+        "decision": None,
         **{f"{name}_ms": ns_ms(plan.get(name)) for name in PLAN_TIMES},
     }
 
@@ -93,6 +95,31 @@ def plan_state(plan: Object) -> str:
 def plan_documents(page: Object, manager: str) -> Documents:
     """The items of a manager's page /plans."""
     return {str(plan["plan"]): plan_document(plan, manager) for plan in page["plans"]}
+
+
+def decision_documents(page: Object) -> dict[int, dict[str, Any]]:
+    """What the gate decided, by the number of the pull request, of its page /decisions."""
+    return {int(decision["pull_request"]): _decision(decision) for decision in page["decisions"]}
+
+
+def _decision(decision: Object) -> dict[str, Any]:
+    decided_ms = ns_ms(decision["decided"])
+    return {
+        "verdict": str(decision["verdict"]),
+        "way": str(decision["way"]),
+        "approvers": [str(name) for name in decision["approvers"]],
+        "began_ms": None if decided_ms is None else decided_ms - round(decision["seconds"] * MS_OF_SECOND),
+        "decided_ms": decided_ms,
+        "checks": [_check(check) for check in decision["checks"]],
+    }
+
+
+def _check(check: Object) -> dict[str, Any]:
+    return {
+        "check": str(check["check"]),
+        "problems": [str(problem) for problem in check["problems"]],
+        "took_ms": round(check["seconds"] * MS_OF_SECOND, 1),
+    }
 
 
 def event_documents(page: Object, detector: str) -> Documents:

@@ -16,6 +16,7 @@ from robotkube.delivery.console.core.chains import View
 from robotkube.delivery.console.core.documents import (
     Documents,
     catalogue_documents,
+    decision_documents,
     event_documents,
     event_of_task,
     plan_documents,
@@ -25,6 +26,7 @@ from robotkube.foundation.runtime.ports import Series, by_one
 
 EVENTS_MAX = 5000
 RECORDINGS_MAX = 1000
+DECISIONS_MAX = 1000
 PREFIX = "robotkube_console_"
 
 Document = Mapping[str, Any]
@@ -40,6 +42,7 @@ class ReadModel:
         self._lock = threading.RLock()
         self._listeners: list[Callable[[], None]] = []
         self._catalogues: dict[str, Document] = {}
+        self._decisions: dict[int, Document] = {}  # by pull request, the newest last
 
     def listen(self, changed: Callable[[], None]) -> None:
         """Call `changed` after every change from now on, on the thread that made it; it must return at once."""
@@ -129,9 +132,27 @@ class ReadModel:
 
     def put_plans(self, page: Document, manager: str) -> None:
         """The plans of a manager are those of this page."""
-        documents = plan_documents(page, manager)
         with self._changing() as table:
+            documents = {key: self._decided(plan) for key, plan in plan_documents(page, manager).items()}
             _replace(table, kinds.PLANS, documents, lambda _, document: document["manager"] == manager)
+
+    def put_decisions(self, page: Document) -> None:
+        """The gate's page /decisions, by which plans know what was checked. What it said before stays, as long as there
+        is place: a gate forgets when it starts anew."""
+        with self._changing() as table:
+            for number, decision in decision_documents(page).items():
+                self._decisions.pop(number, None)
+                self._decisions[number] = decision
+            for number in list(self._decisions)[:-DECISIONS_MAX]:
+                del self._decisions[number]
+            for key, plan in table.documents(kinds.PLANS).items():
+                decided = self._decided(plan)
+                if decided["decision"] != plan["decision"]:
+                    table.put(kinds.PLANS, key, decided)
+
+    def _decided(self, plan: Document) -> dict[str, Any]:
+        """A plan with what the gate said of its pull request."""
+        return {**plan, "decision": self._decisions.get(plan["pull_request"])}
 
     def put_catalogue(self, manager: str, page: Document | None = None) -> None:
         """A manager's page /catalogue, with where its chart versions run now; None: the page is that of before."""

@@ -1,5 +1,5 @@
-"""Reading the pages of managers and event detectors into the model: when something changed that they know more of, and
-now and then without."""
+"""Reading the pages of managers, gate and event detectors into the model: when something changed that they know more
+of, and now and then without."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ RETRY_SECONDS_BOUNDS = (RESYNC_SECONDS, 2 * RESYNC_SECONDS)
 LEAST_SECONDS = 0.3  # between two readings, however much changes
 CATALOGUE_SECONDS = 15.0
 SETTINGS_SECONDS = 30.0
-DETECTORS = "detectors"
+DETECTORS, GATE_PAGES = "detectors", "gate-pages"
 MANAGER_ADVICE = "Plans and catalogue are as of then. Look at the pod of component manager."
+GATE_ADVICE = "The gate's checks of plans are as of then. Look at the pod of component gate."
 DETECTOR_ADVICE = "Values of events, rules and recordings are as of then. Look at the pods of the event detectors."
 UNREADABLE = (KeyError, TypeError, ValueError, AttributeError, ArithmeticError)
 
@@ -57,6 +58,36 @@ class ManagerReader:
             problem = f"{url}: a page that cannot be read: {error!r}"
         carries = (kinds.PLANS, kinds.CATALOGUE)
         self._model.put_source(f"manager/{name}", problem, MANAGER_ADVICE, carries)
+        return not problem
+
+    def run(self, stopping: threading.Event) -> None:
+        """Read until `stopping` is set, and `wake` called."""
+        step_when_woken(_rested(self.step, stopping), self._woken, stopping, RESYNC_SECONDS, RETRY_SECONDS_BOUNDS)
+
+
+class GateReader:
+    """Reads what the gate checked and decided. `url` is the address in front of its pages."""
+
+    def __init__(self, model: ReadModel, pages: Pages, url: str) -> None:
+        self._model = model
+        self._pages = pages
+        self._url = url
+        self._woken = threading.Event()
+
+    def wake(self) -> None:
+        """Something changed."""
+        self._woken.set()
+
+    def step(self) -> bool:
+        """Read; False when nobody answered."""
+        try:
+            self._model.put_decisions(self._pages.get(f"{self._url}/decisions"))
+            problem = ""
+        except RobotKubeError as error:
+            problem = str(error)
+        except UNREADABLE as error:
+            problem = f"{self._url}: a page that cannot be read: {error!r}"
+        self._model.put_source(GATE_PAGES, problem, GATE_ADVICE, (kinds.PLANS,))
         return not problem
 
     def run(self, stopping: threading.Event) -> None:
