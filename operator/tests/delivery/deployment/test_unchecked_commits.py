@@ -13,12 +13,15 @@ from robotkube.delivery.deployment.adapters.ssh_keys import holds
 from robotkube.delivery.deployment.core.break_glass import ACCEPTED_PATH, SIGNERS_PATH
 from robotkube.delivery.deployment.core.merge_records import REFERENCE, MergeRecord, record_statement
 from robotkube.delivery.deployment.core.unchecked_commits import (
+    ACCEPTED,
     BREAK_GLASS,
     NO_RECORD,
     NOT_SIGNED,
     NOTHING_SIGNED,
     OTHERS_BEFORE,
+    REPLACED,
 )
+from robotkube.delivery.deployment.loops import unchecked_commits
 from robotkube.delivery.deployment.loops.unchecked_commits import RECHECK_SECONDS, Trust, UncheckedWatch
 from robotkube.errors import UnavailableError
 from robotkube.foundation.forge.adapters.git import GitClone
@@ -108,8 +111,13 @@ class Main:
         self.watch.read()
         again = self.watching()
         again.read()
-        assert again.standing == self.watch.standing
+        assert (again.standing, again.made_good) == (self.watch.standing, self.watch.made_good)
         return {one.commit: (one.how, one.files) for one in self.watch.standing}
+
+    def made_good(self) -> dict[str, str]:
+        """How commits that stand no more were made good, as of the last reading."""
+        assert not [one.files for one in self.watch.made_good if one.files]
+        return {one.commit: one.made_good for one in self.watch.made_good}
 
     def problem(self) -> str:
         """Why the one commit that stands is not what it says, or has no record."""
@@ -325,8 +333,12 @@ def test_it_stands_until_main_has_something_else_in_its_place(main: Main) -> Non
     }
     main.merge({"policies/p.yaml": "1", "README.md": "4"})
     assert main.standing() == {second: (NO_RECORD, ("new",))}
+    assert main.made_good() == {first: REPLACED}
+    [gone] = main.watch.made_good
+    assert (gone.how, gone.names, gone.reason) == (BREAK_GLASS, tuple(sorted(BOTH)), "the gate is away")
     main.merge({"new": None})
     assert main.standing() == {}
+    assert main.made_good() == {second: REPLACED, first: REPLACED}
 
 
 def test_what_is_right_as_it_is_is_accepted_by_its_id(main: Main) -> None:
@@ -337,6 +349,18 @@ def test_what_is_right_as_it_is_is_accepted_by_its_id(main: Main) -> None:
     assert main.standing() == {second: (NO_RECORD, ("kept",)), first: (BREAK_GLASS, (X,))}
     main.merge({ACCEPTED_PATH: f"{first}\n{second}\n"})
     assert main.standing() == {}
+    assert main.made_good() == {second: ACCEPTED, first: ACCEPTED}
+    main.merge({ACCEPTED_PATH: f"{first}\n"})
+    assert main.standing() == {second: (NO_RECORD, ("kept",))}
+    assert main.made_good() == {first: ACCEPTED}, "who is taken off the list stands again"
+
+
+def test_of_many_that_stand_no_more_the_newest_are_remembered(main: Main, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(unchecked_commits, "MADE_GOOD_MAX", 2)
+    main.merge({"p": "1"})
+    commits = [main.add({"p": str(number)}) for number in range(2, 6)]
+    assert set(main.standing()) == {commits[-1]}
+    assert main.made_good() == dict.fromkeys(commits[1:3], REPLACED)
 
 
 def test_one_that_is_too_large_to_compare_stands_until_it_is_accepted(main: Main) -> None:

@@ -111,6 +111,7 @@ def test_what_is_right_is_received(sender: Sender) -> None:
 
 def test_who_asks_is_told_what_was_decided(sender: Sender) -> None:
     assert sender.page("/decisions").json() == {"decisions": []}
+    assert sender.page("/unchecked").json() == {"tip": "", "problem": "", "commits": []}
 
 
 @given(st.one_of(map(mistaken, DELIVERIES)), st.sampled_from(EVENTS))

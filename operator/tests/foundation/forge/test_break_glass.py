@@ -442,6 +442,9 @@ def test_it_stands_out_until_a_checked_commit_has_replaced_it_or_accepted_it(
         own_installation.client("reviewer").post(f"/pulls/{number}/reviews", json=review).raise_for_status()
         until(lambda: files() == 0, "nothing stands out")
         assert running.gate.statistics.unchecked == UncheckedCounts()
+        told = running.gate.unchecked()["commits"]
+        assert {one["made_good"] for one in told} <= {"accepted", "replaced"}
+        assert ["operator-team", "reviewer"] in [one["signed_by"] for one in told]
         recorder.round()
         assert run("status", *options[:-2]) == 0
         assert "everything on it was checked by the gate, or has been replaced or accepted" in capfd.readouterr().out

@@ -28,6 +28,7 @@ from robotkube.foundation.forge.core.trailers import EMERGENCY, SIGNED_BY, named
 BREAK_GLASS, NOT_SIGNED, NO_RECORD = WAYS = ("break-glass", "not-signed", "no-record")
 _EMERGENCY = f"{named(EMERGENCY)}:"
 _SIGNED_BY = trailer(SIGNED_BY, "")
+ACCEPTED, REPLACED = "accepted", "replaced"
 NOTHING_SIGNED = (
     "no commit of main has a valid record of the gate: it never signed one (an older gate), or all were taken away"
 )
@@ -41,7 +42,9 @@ Holds = Callable[[str, Iterable[bytes], bytes], bool]
 class UncheckedCommit:
     """A commit of main that the gate did not check. `how` is one of WAYS; `time`, `names` and `reason` are what its
     message says of itself (time and names only of break-glass); `problem`: why its signatures, or its record, do not
-    hold; `files` those that main still has as it brought them."""
+    hold; `files` those that main still has as it brought them; `made_good`: why it stands no more, ACCEPTED by a
+    checked commit or REPLACED (main has none of its files any more, or a newer one changed them too); empty while it
+    stands."""
 
     commit: str
     how: str
@@ -50,6 +53,7 @@ class UncheckedCommit:
     names: tuple[str, ...] = ()
     problem: str = ""
     files: tuple[str, ...] = ()
+    made_good: str = ""
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,9 @@ from dataclasses import dataclass, replace
 from robotkube.delivery.deployment.core.break_glass import ACCEPTED_PATH, SIGNERS_PATH, read_accepted
 from robotkube.delivery.deployment.core.merge_records import MergeRecord, read_record
 from robotkube.delivery.deployment.core.unchecked_commits import (
+    ACCEPTED,
     NO_RECORD,
+    REPLACED,
     GlassClaim,
     Holds,
     UncheckedCommit,
@@ -23,6 +25,7 @@ from robotkube.errors import DocumentError, InputError
 from robotkube.foundation.forge.ports.repositories import MainBranch, NoteTexts
 from robotkube.registry.evidence.ports import Verifier
 
+MADE_GOOD_MAX = 50  # of those that stand no more
 COMMITS_MAX = 10_000  # how far back main is searched for them
 RECHECK_SECONDS = 30.0  # a record that is missing may come: a gate that ends in between writes it when it is back
 POLICIES = "policies"
@@ -44,8 +47,8 @@ class Trust:
 
 class UncheckedWatch:
     """The commits of one main that the gate did not check and that stand: main still has a file as one of them brought
-    it, and no checked commit has accepted it. `clock` counts seconds; records that are missing are asked for again
-    after `recheck_seconds`.
+    it, and no checked commit has accepted it; and the newest of those that stand no more (`made_good`). `clock` counts
+    seconds; records that are missing are asked for again after `recheck_seconds`.
 
     Read again when main moved. Not for several threads."""
 
@@ -64,6 +67,7 @@ class UncheckedWatch:
         self._recheck_seconds = recheck_seconds
         self._forget()
         self.standing: tuple[UncheckedCommit, ...] = ()
+        self.made_good: tuple[UncheckedCommit, ...] = ()
 
     def _forget(self) -> None:
         self._commits: list[str] = []  # main's, oldest first
@@ -72,6 +76,7 @@ class UncheckedWatch:
         self._expected: set[str] = set()  # of the gate itself, and not read yet
         self._records: dict[str, MergeRecord] = {}
         self._problems: dict[str, str] = {}  # commit -> why its record is not believed
+        self._judged_by: dict[tuple[str, str], UncheckedCommit] = {}  # commit, and whose policies it is judged by
         self._first = -1  # place of the first commit that has a record
         self._asked_at = float("-inf")
 
@@ -121,7 +126,7 @@ class UncheckedWatch:
         self._cover(texts)
         self._asked_at = self._clock() if asks else self._asked_at
         before = self.standing
-        self.standing = self._read_standing(tip) if self._open else ()
+        self.standing, self.made_good = self._read_standing(tip) if self._open else ((), ())
         return self.standing != before
 
     def _new_commits(self, tip: str) -> dict[str, str]:
@@ -178,18 +183,23 @@ class UncheckedWatch:
 
     # -- what stands ----------------------------------------------------------------------------------------------
 
-    def _read_standing(self, tip: str) -> tuple[UncheckedCommit, ...]:
-        """Those of the open commits that stand, newest first, with the files; a file counts for the newest alone."""
+    def _read_standing(self, tip: str) -> tuple[tuple[UncheckedCommit, ...], tuple[UncheckedCommit, ...]]:
+        """Those of the open commits that stand, newest first, with the files, and those that stand no more; a file
+        counts for the newest alone."""
         accepted = self._accepted(tip)
         counted: set[str] = set()
-        commits: list[UncheckedCommit] = []
+        standing: list[UncheckedCommit] = []
+        made_good: list[UncheckedCommit] = []
         unchecked = [commit for commit in reversed(self._open) if self._is_unchecked(commit)]
         for commit in unchecked:
             files = tuple(path for path in self._files(commit) if path not in counted)
             counted.update(files)
             if files and commit not in accepted:
-                commits.append(replace(self._judged(commit, unchecked), files=files))
-        return tuple(commits)
+                standing.append(replace(self._judged(commit, unchecked), files=files))
+            elif len(made_good) < MADE_GOOD_MAX:
+                how = ACCEPTED if commit in accepted else REPLACED
+                made_good.append(replace(self._judged(commit, unchecked), made_good=how))
+        return tuple(standing), tuple(made_good)
 
     def _is_unchecked(self, commit: str) -> bool:
         return says_break_glass(self._open[commit]) or self._places[commit] > self._first >= 0
@@ -200,8 +210,13 @@ class UncheckedWatch:
             return UncheckedCommit(
                 commit, NO_RECORD, message.partition("\n")[0], problem=self._problems.get(commit, "")
             )
-        shape = self._main.shape(commit)
         base = last_checked(self._commits, self._places[commit], unchecked)
+        if (commit, base) not in self._judged_by:
+            self._judged_by[commit, base] = self._judge(commit, base, message)
+        return self._judged_by[commit, base]
+
+    def _judge(self, commit: str, base: str, message: str) -> UncheckedCommit:
+        shape = self._main.shape(commit)
         signers = self._policies(base).get(SIGNERS_PATH, "") if base else ""
         protected = self._protected(commit, shape.parents)
         claim = GlassClaim(commit, self._trust.repository, shape.parents, shape.tree, message, protected)

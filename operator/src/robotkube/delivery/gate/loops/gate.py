@@ -31,7 +31,7 @@ from robotkube.delivery.gate.loops.gate_statistics import GateStatistics
 from robotkube.delivery.gate.loops.merge_records import MergeRecorder
 from robotkube.delivery.gate.loops.pending_objects import PendingObjects
 from robotkube.delivery.gate.loops.rules import GateRules, GateSettings
-from robotkube.delivery.gate.loops.unchecked_report import UncheckedReport
+from robotkube.delivery.gate.loops.unchecked_report import NOTHING_READ, UncheckedReport
 from robotkube.errors import DocumentError, InputError, RobotKubeError
 from robotkube.foundation.forge.core.commit_objects import CommitObjects
 from robotkube.foundation.forge.core.resync import RESYNC_SECONDS, resync_is_due
@@ -167,6 +167,10 @@ class Gate:
             hints = self._hints
             self._hints = {}
         return [pull for _, pull in sorted(hints.items())]
+
+    def unchecked(self) -> Mapping[str, Any]:
+        """What came to main without its check; nothing where nobody watches."""
+        return self._unchecked.as_json() if self._unchecked is not None else NOTHING_READ
 
     def stop(self, stopping: threading.Event) -> None:
         """End `run` after the round that is under way."""
