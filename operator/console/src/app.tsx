@@ -71,8 +71,12 @@ export function App() {
 
 function Navigation({ place }: { place: string }) {
   const waiting = [...useItems("tasks").values()].filter((task) => taskGroup(task) === "waiting").length;
-  const strangers = useItems("strangers").size;
-  const numbers: Record<string, [number, string]> = { tasks: [waiting, "wait"], trust: [strangers, "strangers"] };
+  const past = [...useItems("unchecked").values()].filter((commit) => !commit.made_good).length;
+  const trouble = useItems("strangers").size + past;
+  const numbers: Record<string, [number, string]> = {
+    tasks: [waiting, "wait"],
+    trust: [trouble, "strangers and commits past the gate"],
+  };
   return (
     <nav aria-label="Views">
       {Object.entries(VIEWS).map(([name, [title]]) => {

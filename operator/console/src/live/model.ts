@@ -12,6 +12,7 @@ export type RuleEvent = Schemas["Event"];
 export type Rule = Schemas["Rule"];
 export type CatalogueEntry = Schemas["CatalogueEntry"];
 export type Stranger = Schemas["Stranger"];
+export type Unchecked = Schemas["Unchecked"];
 export type Link = Schemas["Link"];
 export type Recording = Schemas["Recording"];
 export type TaskRequest = Schemas["TaskRequest"];
@@ -39,6 +40,7 @@ export const KINDS: readonly Kind[] = [
   "rules",
   "catalogue",
   "strangers",
+  "unchecked",
   "links",
   "recordings",
   "sources",

@@ -22,6 +22,7 @@ export class Table {
     rules: new Map(),
     catalogue: new Map(),
     strangers: new Map(),
+    unchecked: new Map(),
     links: new Map(),
     recordings: new Map(),
     sources: new Map(),

@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
-import type { Plan, Task } from "../live/model";
-import { checksWords, planSeconds, planWords, taskGroup, taskWords } from "./states";
+import type { Plan, Task, Unchecked } from "../live/model";
+import { checksWords, planSeconds, planWords, taskGroup, taskWords, uncheckedState } from "./states";
 
 type Condition = Task["conditions"][number];
 const condition = (type: Condition["type"], status: Condition["status"], message = ""): Condition => ({
@@ -59,4 +59,17 @@ describe("a plan", () => {
     expect(planSeconds(plan({ demand_seen_ms: 1000, observed_ms: 3500 }))).toBe(2.5);
     expect(planSeconds(plan({ started_ms: 1000 }))).toBeUndefined();
   });
+});
+
+describe("a commit that the gate did not check", () => {
+  const state = (how: Unchecked["how"], made_good: Unchecked["made_good"], commit = "1") =>
+    uncheckedState({ how, made_good, commit } as Unchecked);
+
+  it.each([
+    ["warn", "break-glass, stands", state("break-glass", "")],
+    ["quiet", "break-glass, accepted since", state("break-glass", "accepted")],
+    ["bad", "past the gate, stands", state("no-record", "")],
+    ["quiet", "signatures do not hold, replaced since", state("not-signed", "replaced")],
+    ["bad", "records are missing", state("records", "", "")],
+  ])("is %s: %s", (tone, words, said) => expect(said).toEqual({ tone, words }));
 });

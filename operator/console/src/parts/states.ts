@@ -1,5 +1,5 @@
 /** What states mean: how they are coloured, and in words why something waits. */
-import type { Plan, Release, Task } from "../live/model";
+import type { Plan, Release, Task, Unchecked } from "../live/model";
 import type { Tone } from "./parts";
 
 export function releaseTone(release: Release): Tone {
@@ -66,4 +66,19 @@ export function checksWords({ checks }: NonNullable<Plan["decision"]>): string {
 export function planSeconds(plan: Plan): number | undefined {
   const began = plan.demand_seen_ms ?? plan.started_ms;
   return began === null || plan.observed_ms === null ? undefined : (plan.observed_ms - began) / 1000;
+}
+
+const PAST_THE_GATE: Record<Unchecked["how"], string> = {
+  "break-glass": "break-glass",
+  "not-signed": "signatures do not hold",
+  "no-record": "past the gate",
+  records: "records are missing",
+};
+
+/** What a commit that the gate did not check is, and whether it was made good since. */
+export function uncheckedState(commit: Unchecked): { tone: Tone; words: string } {
+  const how = PAST_THE_GATE[commit.how];
+  if (commit.made_good) return { tone: "quiet", words: `${how}, ${commit.made_good} since` };
+  if (!commit.commit) return { tone: "bad", words: how };
+  return { tone: commit.how === "break-glass" ? "warn" : "bad", words: `${how}, stands` };
 }

@@ -91,6 +91,21 @@ def decisions(verdict: str = "accepted", way: str = "automatic", **problems: str
     }
 
 
+def unchecked(**changed: Any) -> dict[str, Any]:
+    """The gate's page /unchecked, with a break-glass commit that stands."""
+    commit = {
+        "commit": "2" * 40,
+        "how": "break-glass",
+        "reason": "the gate is away",
+        "time": "2026-11-21T10:00:10Z",
+        "signed_by": ["ada", "grace"],
+        "problem": "",
+        "files": ["releases/vehicle-00/mqtt-bridge.yaml"],
+        "made_good": "",
+    }
+    return {"tip": COMMIT, "problem": "", "commits": [{**commit, **changed}]}
+
+
 def withdrawal() -> dict[str, Any]:
     """The plan that takes the recorder away."""
     [plan] = plans()["plans"]

@@ -131,7 +131,8 @@ def test_a_manager_that_is_away_leaves_what_it_said(model: ReadModel) -> None:
 
 @pytest.mark.parametrize("gate_first", [True, False])
 def test_a_plan_knows_what_the_gate_checked_whichever_page_comes_first(model: ReadModel, gate_first: bool) -> None:
-    pages = Pages(**{f"{GATE}/decisions": given.decisions("refused", images="x is not covered")})
+    decisions = given.decisions("refused", images="x is not covered")
+    pages = Pages(**{f"{GATE}/decisions": decisions, f"{GATE}/unchecked": given.unchecked()})
     readers = [
         GateReader(model, pages, GATE),
         ManagerReader(model, pages, ManagerPages("manager", URL), lambda: 0.0),
@@ -149,7 +150,7 @@ def test_a_plan_knows_what_the_gate_checked_whichever_page_comes_first(model: Re
 
 
 def test_a_gate_that_is_away_leaves_what_it_said_and_one_of_another_form_is_away(model: ReadModel) -> None:
-    pages = Pages(**{f"{GATE}/decisions": given.decisions()})
+    pages = Pages(**{f"{GATE}/decisions": given.decisions(), f"{GATE}/unchecked": given.unchecked()})
     reader = GateReader(model, pages, GATE)
     model.put_plans(given.plans(), "manager")
     assert reader.step()
@@ -158,6 +159,26 @@ def test_a_gate_that_is_away_leaves_what_it_said_and_one_of_another_form_is_away
         assert not reader.step()
         assert problem in model.documents(kinds.SOURCES)["gate-pages"]["problem"]
     assert model.documents(kinds.PLANS)[given.PLAN]["decision"]["verdict"] == "accepted"
+
+
+def test_commits_past_the_gate_come_from_its_page_and_go_with_it(model: ReadModel) -> None:
+    pages = Pages(**{f"{GATE}/decisions": given.decisions(), f"{GATE}/unchecked": given.unchecked()})
+    reader = GateReader(model, pages, GATE)
+    assert reader.step()
+    [commit] = model.documents(kinds.UNCHECKED).values()
+    assert (commit["how"], commit["signed_by"], commit["made_good"]) == ("break-glass", ["ada", "grace"], "")
+    assert commit["time_ms"] == 1_795_255_210_000
+    pages.pages[f"{GATE}/unchecked"] = {"tip": "", "problem": "", "commits": []}
+    assert not reader.step(), "it began anew, and nobody knows yet whether something stands"
+    assert "has not read main" in model.documents(kinds.SOURCES)["gate-pages"]["problem"]
+    assert len(model.documents(kinds.UNCHECKED)) == 1
+    pages.pages[f"{GATE}/unchecked"] = {"tip": "1", "problem": "no commit has a record", "commits": []}
+    assert reader.step()
+    [(key, records)] = model.documents(kinds.UNCHECKED).items()
+    assert (key, records["how"], records["problem"]) == ("records", "records", "no commit has a record")
+    pages.pages[f"{GATE}/unchecked"] = {"tip": "1", "problem": "", "commits": []}
+    assert reader.step()
+    assert not model.documents(kinds.UNCHECKED)
 
 
 def test_of_too_many_decisions_the_oldest_go(model: ReadModel, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,7 +21,12 @@ from robotkube.delivery.console.adapters.web.guarding import REQUESTS, Guard
 from robotkube.delivery.console.adapters.web.page_files import read_files
 from robotkube.delivery.console.adapters.web.people import People
 from robotkube.delivery.console.core import table as kinds
-from robotkube.delivery.console.core.documents import rule_documents, stranger_documents, task_document
+from robotkube.delivery.console.core.documents import (
+    rule_documents,
+    stranger_documents,
+    task_document,
+    unchecked_documents,
+)
 from robotkube.delivery.console.core.links import BridgeReading, LinkRates
 from robotkube.delivery.console.core.rate_limits import RateLimits, RequestRate
 from robotkube.delivery.console.core.recordings import recording_documents
@@ -45,6 +50,8 @@ def filled() -> ReadModel:
     model.put(kinds.POSES, "vehicle-00", pose)
     model.put_task(given.TASK, task_document(given.task()))
     model.put_plans(given.plans(given.withdrawal()), "manager")
+    model.put_decisions(given.decisions(images="x is not covered"))
+    model.replace(kinds.UNCHECKED, unchecked_documents(given.unchecked()))
     for key, release in release_documents([given.application()]).items():
         model.put_release(key, release)
     model.replace(kinds.PODS, pod_documents([given.pod()]))

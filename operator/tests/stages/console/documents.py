@@ -45,7 +45,7 @@ SOURCES = {
     "detectors": ["events", "rules", "recordings"],
     "bridges": ["links"],
     "broker": ["poses"],
-    "gate-pages": ["plans"],
+    "gate-pages": ["plans", "unchecked"],
     "gate": ["plans", "catalogue"],
     "forge": ["plans", "catalogue"],
     "argocd-application-controller": ["releases"],
@@ -74,6 +74,29 @@ def differences(agents: list[str]) -> Document:
         values.append({"release": release, "path": path, "before": None, "after": topic})
         values.append({"release": release, "path": "bridge.topics[0].depth", "before": "10", "after": "1000"})
     return {"values": values, "more": 3}
+
+
+def unchecked(now_ms: int) -> Document:
+    """Commits past the gate: two that people signed, one of which main accepts, and one that nobody did."""
+    signed = {"how": "break-glass", "signed_by": ["ada", "grace"], "problem": ""}
+    standing = {
+        "reason": "the gate is away: bring the old bridge back",
+        "files": ["releases/vehicle-03/mqtt-bridge.yaml"],
+    }
+    accepted = {"reason": "a lidar's driver crashes", "files": [], "made_good": "accepted"}
+    moved = {
+        "how": "no-record",
+        "reason": "deploy(recording): x",
+        "signed_by": [],
+        "problem": "",
+        "files": ["notes.txt"],
+    }
+    commits = [
+        {**signed, **standing, "time_ms": now_ms - 3_600_000, "made_good": ""},
+        {**signed, **accepted, "time_ms": now_ms - 90_000_000},
+        {**moved, "time_ms": None, "made_good": ""},
+    ]
+    return {f"{number:040x}": {"commit": f"{number:040x}", **commit} for number, commit in enumerate(commits, 1)}
 
 
 def findings(bad: bool) -> list[Document]:

@@ -19,6 +19,7 @@ from tests.stages.console.documents import (
     differences,
     findings,
     recording,
+    unchecked,
 )
 
 Document = dict[str, Any]
@@ -80,6 +81,7 @@ class Fleet:
             "rules": RULES,
             "catalogue": self.catalogue(),
             "strangers": STRANGERS(now_ms),
+            "unchecked": unchecked(now_ms),
             "links": self.links(now_ms),
             "recordings": self.recordings(now_ms),
             "sources": self.sources(now_ms),

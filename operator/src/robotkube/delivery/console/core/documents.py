@@ -18,6 +18,7 @@ from robotkube.robots.rules.core.event_documents import is_edge
 
 OPEN, MERGED, OBSERVED, REFUSED = "open", "merged", "observed", "refused"
 START = "start"
+RECORDS = "records"
 MS_OF_SECOND = 1000
 PLAN_TIMES = ("demand_seen", "started", "proposed", "merged", "synced", "observed")
 
@@ -253,3 +254,18 @@ def stranger_documents(inspection: Object) -> Documents:
         key = "/".join((place, *(words[part] for part in ("kind", "namespace", "name", "container", "reason"))))
         documents[key] = {"place": place, **words, "since_ms": text_ms(one.get("since"))}
     return documents
+
+
+def unchecked_documents(page: Object) -> Documents:
+    """The items of the gate's page /unchecked: commits of main that it did not check, and one for what is wrong with
+    its records altogether."""
+    documents = {str(one["commit"]): _unchecked(one) for one in page["commits"]}
+    if page["problem"]:
+        documents[RECORDS] = _unchecked({"commit": "", "how": RECORDS, "problem": page["problem"]})
+    return documents
+
+
+def _unchecked(one: Object) -> dict[str, Any]:
+    words = {key: str(one.get(key) or "") for key in ("commit", "how", "reason", "problem", "made_good")}
+    lists = {key: [str(word) for word in one.get(key) or ()] for key in ("signed_by", "files")}
+    return {**words, **lists, "time_ms": text_ms(one.get("time"))}

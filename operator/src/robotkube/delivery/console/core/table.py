@@ -17,9 +17,10 @@ from typing import Any
 
 AGENTS, POSES, TASKS, PLANS, RELEASES, PODS = "agents", "poses", "tasks", "plans", "releases", "pods"
 EVENTS, RULES, CATALOGUE, STRANGERS, SOURCES = "events", "rules", "catalogue", "strangers", "sources"
-LINKS, RECORDINGS = "links", "recordings"
+LINKS, RECORDINGS, UNCHECKED = "links", "recordings", "unchecked"
 KINDS = (
-    AGENTS, POSES, TASKS, PLANS, RELEASES, PODS, EVENTS, RULES, CATALOGUE, STRANGERS, LINKS, RECORDINGS, SOURCES,
+    AGENTS, POSES, TASKS, PLANS, RELEASES, PODS, EVENTS, RULES, CATALOGUE, STRANGERS, UNCHECKED, LINKS, RECORDINGS,
+    SOURCES,
 )  # fmt: skip
 GONE_MAX = 10_000
 

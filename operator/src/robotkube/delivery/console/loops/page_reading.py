@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 
 from robotkube.delivery.console.core import table as kinds
-from robotkube.delivery.console.core.documents import rule_documents
+from robotkube.delivery.console.core.documents import rule_documents, unchecked_documents
 from robotkube.delivery.console.core.recordings import recording_documents
 from robotkube.delivery.console.loops.model import ReadModel
 from robotkube.delivery.console.ports import Detector, ManagerPages, Pages, Settings
@@ -21,7 +21,8 @@ CATALOGUE_SECONDS = 15.0
 SETTINGS_SECONDS = 30.0
 DETECTORS, GATE_PAGES = "detectors", "gate-pages"
 MANAGER_ADVICE = "Plans and catalogue are as of then. Look at the pod of component manager."
-GATE_ADVICE = "The gate's checks of plans are as of then. Look at the pod of component gate."
+GATE_ADVICE = "Checks of plans, and what nobody checked, are as of then. Look at the pod of component gate."
+NOT_READ = "The gate has not read main since its start."
 DETECTOR_ADVICE = "Values of events, rules and recordings are as of then. Look at the pods of the event detectors."
 UNREADABLE = (KeyError, TypeError, ValueError, AttributeError, ArithmeticError)
 
@@ -66,7 +67,8 @@ class ManagerReader:
 
 
 class GateReader:
-    """Reads what the gate checked and decided. `url` is the address in front of its pages."""
+    """Reads what the gate checked and decided, and what came to main without it. `url` is the address in front of its
+    pages."""
 
     def __init__(self, model: ReadModel, pages: Pages, url: str) -> None:
         self._model = model
@@ -82,13 +84,21 @@ class GateReader:
         """Read; False when nobody answered."""
         try:
             self._model.put_decisions(self._pages.get(f"{self._url}/decisions"))
-            problem = ""
+            problem = self._read_unchecked()
         except RobotKubeError as error:
             problem = str(error)
         except UNREADABLE as error:
             problem = f"{self._url}: a page that cannot be read: {error!r}"
-        self._model.put_source(GATE_PAGES, problem, GATE_ADVICE, (kinds.PLANS,))
+        self._model.put_source(GATE_PAGES, problem, GATE_ADVICE, (kinds.PLANS, kinds.UNCHECKED))
         return not problem
+
+    def _read_unchecked(self) -> str:
+        """Read what it did not check; why that failed, else empty."""
+        page = self._pages.get(f"{self._url}/unchecked")
+        if not page["tip"]:
+            return NOT_READ
+        self._model.replace(kinds.UNCHECKED, unchecked_documents(page))
+        return ""
 
     def run(self, stopping: threading.Event) -> None:
         """Read until `stopping` is set, and `wake` called."""
