@@ -113,6 +113,42 @@ def test_everybody_whom_main_lets_in_gets_one_after_it_was_entered(stage: Stage)
     assert (stage.keeper.issued, stage.keeper.problem) == (2, "")
 
 
+def test_it_tells_until_when_each_holds_and_when_it_is_renewed(stage: Stage) -> None:
+    assert stage.keeper.as_json() is None, "nobody has looked yet"
+    stage.objects.missing = {"observer"}
+    with pytest.raises(InputError):
+        stage.keep()
+    told = stage.keeper.as_json()
+    assert told is not None
+    assert [(one["account"], one["namespace"], one["life"] is None) for one in told] == [
+        ("observer", "robotkube", True),
+        ("vehicle-00", "vehicle-00", False),
+        ("vehicle-01", "vehicle-01", True),
+    ]
+    life = told[1]["life"]
+    assert round(life["end"] - stage.now) == LIFE
+    assert life["renewal"] == pytest.approx(life["begin"] + (life["end"] - life["begin"]) * 2 / 3)
+    stage.main.names = frozenset({"vehicle-00", "vehicle-01"})
+    with pytest.raises(InputError):
+        stage.keep()
+    assert [one["life"] for one in stage.keeper.as_json() or ()] == [None] * 3, "what is revoked holds no more"
+
+
+def test_the_page_says_what_the_last_look_met(stage: Stage) -> None:
+    issuance = Issuance("robotkube", "tls-authority", "robotkube-ca", ("robotkube",), (BROKER,), ISSUANCE)
+    keeper = CertificateKeeper(stage.objects, issuing, issuance, lambda: stage.now, stage.keeper)
+    assert keeper.accounts_page() == {"problem": "nothing was looked at yet", "accounts": None}
+    keeper.step()
+    page = keeper.accounts_page()
+    assert (page["problem"], len(page["accounts"])) == ("", 3)
+    stage.main.names = None
+    keeper.step()
+    assert "nobody says which accounts main shuts out" in keeper.accounts_page()["problem"]
+    without = CertificateKeeper(stage.objects, issuing, replace(issuance, accounts=None), lambda: stage.now)
+    without.step()
+    assert without.accounts_page() == {"problem": "", "accounts": None}
+
+
 def test_one_that_is_not_in_the_register_never_stands_in_a_secret(stage: Stage) -> None:
     stage.objects.away = {"put_register"}
     with pytest.raises(UnavailableError):

@@ -30,12 +30,18 @@ PAGE_BYTES_MAX = 1024 * 1024  # of the names of accounts
 
 
 def body(process: Process, environment: Mapping[str, str] = os.environ) -> None:
-    """Keep certificates, and serve health and metrics, until the process shall end."""
+    """Keep certificates, and say how long they hold, until the process shall end."""
     settings = files.start_with_settings(process, read_configuration, environment, FORMER_KEYS)
     objects = KubernetesCertificates(ApiServer.from_environment(environment), settings.issuance)
     keeper = CertificateKeeper(objects, issuing, settings.issuance, time.time, _accounts(objects, settings))
     listen = settings.listen
-    server = WebServer(listen.address, listen.port, keeper.reasons_not_ready, MetricsPage(keeper.metrics).text)
+    server = WebServer(
+        listen.address,
+        listen.port,
+        keeper.reasons_not_ready,
+        MetricsPage(keeper.metrics).text,
+        pages={"/accounts": keeper.accounts_page},
+    )
     server.start()
     process.log("started", **server.ports, namespaces=len(settings.issuance.namespaces))
     keeper.run(process.stopping)

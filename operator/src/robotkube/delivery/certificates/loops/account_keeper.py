@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from robotkube.delivery.certificates.core.issuance import AccountCertificate, AccountIssuance
 from robotkube.delivery.certificates.core.register import IssuedCertificate, Register
@@ -27,6 +27,11 @@ def _with(meanwhile: Callable[[], None], items: Iterable[T]) -> Iterator[T]:
     for item in items:
         meanwhile()
         yield item
+
+
+def _life_of(account: AccountCertificate, life: Life | None) -> Mapping[str, Any]:
+    times = {} if life is None else {"begin": life.begin, "end": life.end, "renewal": life.renewal}
+    return {"account": account.account, "namespace": account.namespace, "life": times or None}
 
 
 @dataclass(frozen=True)
@@ -59,6 +64,7 @@ class AccountKeeper:
         self._made: dict[str, Pair] = {}  # by account: what could not be put into its Secret yet
         self.problem = ""
         self.lives: dict[str, Life] = {}  # by account, of those whose certificate is not revoked
+        self.looked = False  # at all that can be read, once at least
         self.issued = self.revoked = 0
 
     def has_news(self) -> bool:
@@ -74,6 +80,14 @@ class AccountKeeper:
             if account.account in self.lives:
                 yield account, self.lives[account.account]
 
+    def as_json(self) -> Sequence[Mapping[str, Any]] | None:
+        """Every account with the life of its certificate, null where it has none that holds; None before the first
+        look. Times in seconds since 1970; any thread may ask."""
+        if not self.looked:
+            return None
+        lives = dict(self.lives)
+        return [_life_of(account, lives.get(account.account)) for account in self._issuance.certificates]
+
     def keep(self, authority: Pair, meanwhile: Callable[[], None] = _nothing) -> None:
         """Issue what is due, and revoke what main shuts out. Who may not be at the broker gets nothing; while nobody
         says who that is, everybody keeps and gets his, but accounts that are reserved or revoked; `problem` says so.
@@ -85,6 +99,7 @@ class AccountKeeper:
         register, revocations = self._objects.register()
         present = self._read(failures, meanwhile)
         self.lives = self._described(present, authority)
+        self.looked = True
         adopted = self._adopted(register.kept(self._wall()))
         revoking = adopted.revoking(shut or (), self._issuance.certificates, self._wall())
         after, due = self._issue(revoking, _with(meanwhile, present), shut, authority)

@@ -7,7 +7,8 @@ import logging
 import random
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from robotkube.backoffs import Random, backoff
 from robotkube.delivery.certificates.core.issuance import Issuance, ServerCertificate
@@ -168,6 +169,13 @@ class CertificateKeeper:
             *(f"the certificate in Secret {secret} has expired" for secret in ended),
             *(f"the certificate of account {name} has expired" for name, life in accounts.items() if now >= life.end),
         ]
+
+    def accounts_page(self) -> Mapping[str, Any]:
+        """The document of GET /accounts: how long the certificate of each account holds, and what the last look met;
+        `accounts` is null before the first one, and where accounts have none."""
+        accounts = self._accounts
+        problem = self.problem or (accounts.problem if accounts is not None else "")
+        return {"problem": problem, "accounts": accounts.as_json() if accounts is not None else None}
 
     def metrics(self) -> Sequence[Series]:
         """What Prometheus reads."""
