@@ -64,6 +64,9 @@ managers:
   namespaces: {{ toJson .scope.namespaces }}
 {{- end }}
 gate: {url: "{{ include "robotkube.processScheme" . }}://{{ include "robotkube.gateHost" . }}:8080"}
+{{- if include "robotkube.accountsCertified" . }}
+certificates: {url: "http://{{ include "robotkube.host" (dict "root" . "name" "certificates") }}:8081"}
+{{- end }}
 hosts: {{ include "robotkube.consoleHosts" . }}
 {{- with $console.proxies }}
 proxies: {{ toJson . }}

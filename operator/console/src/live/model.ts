@@ -13,6 +13,7 @@ export type Rule = Schemas["Rule"];
 export type CatalogueEntry = Schemas["CatalogueEntry"];
 export type Stranger = Schemas["Stranger"];
 export type Unchecked = Schemas["Unchecked"];
+export type Certificate = Schemas["Certificate"];
 export type Link = Schemas["Link"];
 export type Recording = Schemas["Recording"];
 export type TaskRequest = Schemas["TaskRequest"];
@@ -41,6 +42,7 @@ export const KINDS: readonly Kind[] = [
   "catalogue",
   "strangers",
   "unchecked",
+  "certificates",
   "links",
   "recordings",
   "sources",

@@ -23,6 +23,7 @@ export class Table {
     catalogue: new Map(),
     strangers: new Map(),
     unchecked: new Map(),
+    certificates: new Map(),
     links: new Map(),
     recordings: new Map(),
     sources: new Map(),

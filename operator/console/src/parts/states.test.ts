@@ -1,6 +1,15 @@
 import { describe, expect, it } from "vitest";
-import type { Plan, Task, Unchecked } from "../live/model";
-import { checksWords, planSeconds, planWords, taskGroup, taskWords, uncheckedState } from "./states";
+import type { Certificate, Plan, Task, Unchecked } from "../live/model";
+import {
+  certificateState,
+  renewalWords,
+  checksWords,
+  planSeconds,
+  planWords,
+  taskGroup,
+  taskWords,
+  uncheckedState,
+} from "./states";
 
 type Condition = Task["conditions"][number];
 const condition = (type: Condition["type"], status: Condition["status"], message = ""): Condition => ({
@@ -72,4 +81,30 @@ describe("a commit that the gate did not check", () => {
     ["quiet", "signatures do not hold, replaced since", state("not-signed", "replaced")],
     ["bad", "records are missing", state("records", "", "")],
   ])("is %s: %s", (tone, words, said) => expect(said).toEqual({ tone, words }));
+});
+
+describe("a certificate of 90 days", () => {
+  const DAY = 86_400_000;
+  const from = Date.UTC(2026, 0, 1);
+  const certificate = { from_ms: from, renewal_ms: from + 60 * DAY, until_ms: from + 90 * DAY } as Certificate;
+  const none = { from_ms: null, renewal_ms: null, until_ms: null } as Certificate;
+
+  it.each([
+    ["good", "until 1 Apr", 1],
+    ["good", "until 1 Apr", 67],
+    ["warn", "ends in 22 d", 68],
+    ["bad", "ended", 90],
+  ])("is %s: %s, after %i days", (tone, words, days) => {
+    const said = certificateState(certificate, from + days * DAY);
+    expect(said.tone).toBe(tone);
+    expect(said.words).toContain(words);
+  });
+  it("is bad where there is none", () => {
+    expect(certificateState(none, from)).toEqual({ tone: "bad", words: "has no certificate that holds" });
+    expect(renewalWords(none, from)).toBe("");
+  });
+  it("says when it was made and is made anew", () => {
+    expect(renewalWords(certificate, from + DAY)).toMatch(/^made 1 Jan .*, to be renewed 2 Mar /);
+    expect(renewalWords(certificate, from + 68 * DAY)).toMatch(/, was to be renewed 2 Mar /);
+  });
 });

@@ -1,5 +1,6 @@
 /** What states mean: how they are coloured, and in words why something waits. */
-import type { Plan, Release, Task, Unchecked } from "../live/model";
+import type { Certificate, Plan, Release, Task, Unchecked } from "../live/model";
+import { clock, duration } from "../words";
 import type { Tone } from "./parts";
 
 export function releaseTone(release: Release): Tone {
@@ -81,4 +82,20 @@ export function uncheckedState(commit: Unchecked): { tone: Tone; words: string }
   if (commit.made_good) return { tone: "quiet", words: `${how}, ${commit.made_good} since` };
   if (!commit.commit) return { tone: "bad", words: how };
   return { tone: commit.how === "break-glass" ? "warn" : "bad", words: `${how}, stands` };
+}
+
+/** Until when an account's certificate holds; a warning once a quarter of the time for its renewal has gone unused. */
+export function certificateState(certificate: Certificate, now: number): { tone: Tone; words: string } {
+  const { until_ms: until, renewal_ms: renewal } = certificate;
+  if (until === null || renewal === null) return { tone: "bad", words: "has no certificate that holds" };
+  if (now >= until) return { tone: "bad", words: `ended ${clock(until, now)}` };
+  if (now < renewal + (until - renewal) / 4) return { tone: "good", words: `until ${clock(until, now)}` };
+  return { tone: "warn", words: `ends in ${duration((until - now) / 1000)}` };
+}
+
+/** When it was made, and when it is to be made anew. */
+export function renewalWords({ from_ms: from, renewal_ms: renewal }: Certificate, now: number): string {
+  if (from === null || renewal === null) return "";
+  const due = renewal > now ? "to be renewed" : "was to be renewed";
+  return `made ${clock(from, now)}, ${due} ${clock(renewal, now)}`;
 }

@@ -1,14 +1,17 @@
 import { useState } from "preact/hooks";
-import type { Agent, Release } from "../live/model";
+import type { Agent, Certificate, Release } from "../live/model";
 import { silentSince } from "../map/fleet";
 import { Badge, Cell, Empty, Rows, Search, Stale, Time } from "../parts/parts";
 import { versionsByDigest } from "../parts/evidence";
 import { sharedWords } from "../parts/sharing";
+import { Certificates } from "../parts/Certificates";
 import { Trial } from "../parts/Trial";
 import { filter } from "../search";
 import { at, live, useItems, useNow, why } from "../state";
 import { clock, count } from "../words";
 import { Hold } from "./Fleet";
+
+const HEADS = ["Agent", "State", "Role", "Nodes", "Hold", "Versions"];
 
 /** Every declared agent: its Nodes, what it wants, when it was heard last. */
 export function Agents() {
@@ -20,6 +23,13 @@ export function Agents() {
     if (known) known.push(entry);
     else running.set(agent, [entry]);
   }
+  const proved = useItems("sources").has("certificates"); // else accounts at the broker have passwords
+  const certificates = new Map<string, Certificate[]>();
+  for (const certificate of useItems("certificates").values()) {
+    const known = certificates.get(certificate.namespace);
+    if (known) known.push(certificate);
+    else certificates.set(certificate.namespace, [certificate]);
+  }
   const versions = versionsByDigest(useItems("catalogue").values());
   const [text, search] = useState("");
   const now = useNow();
@@ -29,7 +39,7 @@ export function Agents() {
     <main id="main">
       <h1>Agents</h1>
       <p class="quiet">{count(agents.length, "agent")} declared by the deployment repository or by labels of Nodes.</p>
-      <Stale kinds={["agents", "poses"]} now={now} />
+      <Stale kinds={["agents", "poses", "certificates"]} now={now} />
       <Trial />
       <div class="filters">
         <Search label="Search agents" hint="Words, or role:…, node:…, capability:…" value={text} change={search} />
@@ -37,7 +47,7 @@ export function Agents() {
       {shown.length ? (
         <Rows
           label="Agents"
-          heads={["Agent", "State", "Role", "Nodes", "Hold", "Versions", "Position heard"]}
+          heads={[...HEADS, ...(proved ? ["Certificate"] : []), "Position heard"]}
           items={shown}
           row={(agent) => (
             <Line
@@ -45,6 +55,7 @@ export function Agents() {
               agent={agent}
               releases={running.get(agent.namespace) ?? []}
               versions={versions}
+              certificates={proved ? (certificates.get(agent.namespace) ?? []) : undefined}
               now={now}
             />
           )}
@@ -73,10 +84,11 @@ interface LineProperties {
   readonly agent: Agent;
   readonly releases: readonly (readonly [string, Release])[];
   readonly versions: ReadonlyMap<string, string>;
+  readonly certificates: readonly Certificate[] | undefined;
   readonly now: number;
 }
 
-function Line({ agent, releases, versions, now }: LineProperties) {
+function Line({ agent, releases, versions, certificates, now }: LineProperties) {
   const pose = live.table.maps.poses.get(agent.name);
   return (
     <tr>
@@ -108,6 +120,11 @@ function Line({ agent, releases, versions, now }: LineProperties) {
       <Cell head="Versions">
         <Versions releases={releases} versions={versions} />
       </Cell>
+      {certificates && (
+        <Cell head="Certificate">
+          <Certificates certificates={certificates} now={now} />
+        </Cell>
+      )}
       <Cell head="Position heard">
         {pose ? <Time ms={pose.received_ms} now={now} /> : <span class="quiet">never</span>}
       </Cell>

@@ -106,6 +106,18 @@ def unchecked(**changed: Any) -> dict[str, Any]:
     return {"tip": COMMIT, "problem": "", "commits": [{**commit, **changed}]}
 
 
+def accounts(**life: Any) -> dict[str, Any]:
+    """The page /accounts of the process certificates: an account with a certificate, and one without."""
+    times = {"begin": 1_795_250_000.0, "end": 1_803_026_000.0, "renewal": 1_800_434_000.5, **life}
+    return {
+        "problem": "",
+        "accounts": [
+            {"account": "vehicle-00", "namespace": "vehicle-00", "life": times},
+            {"account": "observer", "namespace": "robotkube", "life": None},
+        ],
+    }
+
+
 def withdrawal() -> dict[str, Any]:
     """The plan that takes the recorder away."""
     [plan] = plans()["plans"]

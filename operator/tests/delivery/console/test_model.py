@@ -14,7 +14,7 @@ from robotkube.delivery.console.core.documents import stranger_documents, task_d
 from robotkube.delivery.console.core.recordings import recording_documents
 from robotkube.delivery.console.loops import model as model_module
 from robotkube.delivery.console.loops.model import ReadModel
-from robotkube.delivery.console.loops.page_reading import DetectorReader, GateReader, ManagerReader
+from robotkube.delivery.console.loops.page_reading import CertificateReader, DetectorReader, GateReader, ManagerReader
 from robotkube.delivery.console.ports import Detector, ManagerPages
 from robotkube.delivery.manager.adapters.kubernetes_cluster import read_node, read_nodes
 from robotkube.delivery.manager.core.placement.placement import NodeState
@@ -23,6 +23,7 @@ from robotkube.foundation.kubernetes.core.node_agents import NodeAgent
 from tests.delivery.console import documents as given
 
 URL, GATE = "http://manager:8080", "https://gate:8080"
+ACCOUNTS = "http://certificates:8081/accounts"
 DETECTOR = Detector("cloud-0/recorder-0", given.RECORDER, "10.0.0.7", "recorder")
 EVENTS = "http://10.0.0.7:8081/events"
 RECORDINGS = "http://10.0.0.7:8081/recordings"
@@ -179,6 +180,30 @@ def test_commits_past_the_gate_come_from_its_page_and_go_with_it(model: ReadMode
     pages.pages[f"{GATE}/unchecked"] = {"tip": "1", "problem": "", "commits": []}
     assert reader.step()
     assert not model.documents(kinds.UNCHECKED)
+
+
+def test_certificates_come_from_their_process_and_a_problem_of_it_is_said(model: ReadModel) -> None:
+    pages = Pages(**{ACCOUNTS: {"problem": "nothing was looked at yet", "accounts": None}})
+    reader = CertificateReader(model, pages, ACCOUNTS.removesuffix("/accounts"))
+    assert not reader.step()
+    assert model.documents(kinds.SOURCES)["certificates"]["problem"] == "nothing was looked at yet"
+    pages.pages[ACCOUNTS] = given.accounts()
+    assert reader.step()
+    certificates = model.documents(kinds.CERTIFICATES)
+    assert set(certificates) == {"vehicle-00/vehicle-00", "robotkube/observer"}
+    of_vehicle = certificates["vehicle-00/vehicle-00"]
+    assert [of_vehicle[key] for key in ("from_ms", "until_ms", "renewal_ms")] == [
+        *(1_795_250_000_000, 1_803_026_000_000, 1_800_434_000_500)
+    ]
+    assert certificates["robotkube/observer"]["until_ms"] is None
+    pages.pages[ACCOUNTS] = {**given.accounts(), "problem": "Secret vehicle-00/broker-account is missing"}
+    assert not reader.step()
+    assert "is missing" in model.documents(kinds.SOURCES)["certificates"]["problem"]
+    for page, problem in ((None, "404"), ({}, "cannot be read"), ({"accounts": [{}]}, "cannot be read")):
+        pages.pages[ACCOUNTS] = page
+        assert not reader.step()
+        assert problem in model.documents(kinds.SOURCES)["certificates"]["problem"]
+    assert model.documents(kinds.CERTIFICATES) == certificates, "as of when somebody answered"
 
 
 def test_of_too_many_decisions_the_oldest_go(model: ReadModel, monkeypatch: pytest.MonkeyPatch) -> None:

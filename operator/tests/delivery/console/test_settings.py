@@ -43,9 +43,10 @@ def test_the_least(tmp_path: Path) -> None:
     assert settings.agents[0]["records"] is True
 
 
-def test_the_gate_s_pages(tmp_path: Path) -> None:
+def test_pages_of_gate_and_certificates(tmp_path: Path) -> None:
     assert read(tmp_path).gate == ""
     assert read(tmp_path, gate={"url": "https://gate:8080"}).gate == "https://gate:8080"
+    assert read(tmp_path, certificates={"url": "http://certificates:8081"}).certificates == "http://certificates:8081"
     with pytest.raises(DocumentError, match=r"gate\.url"):
         read(tmp_path, gate={"url": "gate"})
 

@@ -22,6 +22,7 @@ from robotkube.delivery.console.adapters.web.page_files import read_files
 from robotkube.delivery.console.adapters.web.people import People
 from robotkube.delivery.console.core import table as kinds
 from robotkube.delivery.console.core.documents import (
+    certificate_documents,
     rule_documents,
     stranger_documents,
     task_document,
@@ -51,6 +52,7 @@ def filled() -> ReadModel:
     model.put_task(given.TASK, task_document(given.task()))
     model.put_plans(given.plans(given.withdrawal()), "manager")
     model.put_decisions(given.decisions(images="x is not covered"))
+    model.replace(kinds.CERTIFICATES, certificate_documents(given.accounts()))
     model.replace(kinds.UNCHECKED, unchecked_documents(given.unchecked()))
     for key, release in release_documents([given.application()]).items():
         model.put_release(key, release)

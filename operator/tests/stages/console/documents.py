@@ -6,6 +6,7 @@ from typing import Any
 
 Document = dict[str, Any]
 RULE = "lidar-proximity"
+DAY_MS = 86_400_000
 NOT_READY = "The bridge's pod is not ready."
 NAMES = {"type": "string", "pattern": "^[a-z0-9]([a-z0-9-]*[a-z0-9])?$"}
 PARAMETERS: Document = {
@@ -45,6 +46,7 @@ SOURCES = {
     "detectors": ["events", "rules", "recordings"],
     "bridges": ["links"],
     "broker": ["poses"],
+    "certificates": ["certificates"],
     "gate-pages": ["plans", "unchecked"],
     "gate": ["plans", "catalogue"],
     "forge": ["plans", "catalogue"],
@@ -97,6 +99,17 @@ def unchecked(now_ms: int) -> Document:
         {**moved, "time_ms": None, "made_good": ""},
     ]
     return {f"{number:040x}": {"commit": f"{number:040x}", **commit} for number, commit in enumerate(commits, 1)}
+
+
+def certificates(names: list[str], now_ms: int) -> Document:
+    """The certificates of vehicles: of each nine one is about to end, and one has none that holds."""
+    items: Document = {}
+    for number, name in enumerate(names):
+        begin = now_ms - (80 if number % 9 == 4 else 20) * DAY_MS
+        times = {"from_ms": begin, "until_ms": begin + 90 * DAY_MS, "renewal_ms": begin + 60 * DAY_MS}
+        known = dict.fromkeys(times) if number % 9 == 5 else times
+        items[f"{name}/{name}"] = {"account": name, "namespace": name, **known}
+    return items
 
 
 def findings(bad: bool) -> list[Document]:

@@ -27,7 +27,7 @@ from robotkube.delivery.console.adapters.web.server import AsgiServer
 from robotkube.delivery.console.core.poses import PoseSampler
 from robotkube.delivery.console.loops.link_reading import LinkReader
 from robotkube.delivery.console.loops.model import ReadModel
-from robotkube.delivery.console.loops.page_reading import DetectorReader, GateReader, ManagerReader
+from robotkube.delivery.console.loops.page_reading import CertificateReader, DetectorReader, GateReader, ManagerReader
 from robotkube.delivery.console.settings import ConsoleConfiguration, read_configuration
 from robotkube.foundation.certificates.adapters.certificate_authorities import trust
 from robotkube.foundation.kubernetes.adapters.client import api_client
@@ -51,6 +51,8 @@ class ConsoleProcess:
             ManagerReader(self.model, self._pages, manager, time.monotonic) for manager in configuration.managers
         ]
         self._gate = GateReader(self.model, self._pages, configuration.gate) if configuration.gate else None
+        url = configuration.certificates
+        self._certificates = CertificateReader(self.model, self._pages, url) if url else None
         namespaces = (configuration.namespace, configuration.argocd_namespace)
         self.watches = ClusterWatches(api, self.model, namespaces, configuration.agents, self._wake)
         settings = ConfigMapSettings(api)
@@ -89,12 +91,14 @@ class ConsoleProcess:
     def run(self, stopping: threading.Event) -> None:
         """Read and serve until `stopping` is set."""
         loops = [self.watches.run, self._detectors.run, self._links.run, *(manager.run for manager in self._managers)]
-        loops += [reader.run for reader in (self._poses, self._gate) if reader is not None]
+        loops += [reader.run for reader in (self._poses, self._gate, self._certificates) if reader is not None]
         threads = [_started(loop, stopping) for loop in loops]
         self.health.start()
         self.server.start()
         stopping.wait()
         self._wake()
+        if self._certificates is not None:
+            self._certificates.wake()
         self.console.streams.stop()
         self.server.stop()
         self.health.close()

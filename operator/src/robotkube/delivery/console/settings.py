@@ -53,9 +53,9 @@ class ConsoleConfiguration:
     """Everything the process needs, secrets included. Without `sign_in` everybody who reaches it reads, with
     `by_forward` nobody but who may forward ports to its pod reaches it; without `poses` the map has none. `hosts`:
     names by which browsers reach it; `proxies`: whose word counts for who asks; `client_id_file`: has the client id
-    where `sign_in` has none; `gate`: address of the gate's pages, empty where they are not read; `writers`: who may ask
-    for tasks; `authorities`: files with those that may have signed certificates of managers, of the gate, and of the
-    provider, besides the usual ones."""
+    where `sign_in` has none; `gate`, `certificates`: addresses of the pages of gate and process certificates, empty
+    where they are not read; `writers`: who may ask for tasks; `authorities`: files with those that may have signed
+    certificates of managers, of the gate, and of the provider, besides the usual ones."""
 
     listen: files.Listen
     log_level: str
@@ -74,6 +74,7 @@ class ConsoleConfiguration:
     client_id_file: Path | None = None
     by_forward: bool = False
     gate: str = ""
+    certificates: str = ""
 
     @property
     def address(self) -> str:
@@ -100,7 +101,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ConsoleCo
         required,
         [
             *("poses", "broker", "page", "links", "proxies", "sign_in", "anybody_reads", "by_forward", "authorities"),
-            "gate",
+            *("gate", "certificates"),
         ],
     )
     namespaces = reader.mapping(root.get("namespaces") or {}, "namespaces", ["platform", "argocd"])
@@ -124,6 +125,7 @@ def read_configuration(reader: Reader, document: Mapping[str, Any]) -> ConsoleCo
         client_id_file=_client_id_file(reader, root.get("sign_in")),
         by_forward=_by_forward(reader, root),
         gate=_url(reader, root, "gate"),
+        certificates=_url(reader, root, "certificates"),
     )
 
 

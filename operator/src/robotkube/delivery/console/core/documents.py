@@ -20,6 +20,7 @@ OPEN, MERGED, OBSERVED, REFUSED = "open", "merged", "observed", "refused"
 START = "start"
 RECORDS = "records"
 MS_OF_SECOND = 1000
+CERTIFICATE_TIMES = {"from_ms": "begin", "until_ms": "end", "renewal_ms": "renewal"}
 PLAN_TIMES = ("demand_seen", "started", "proposed", "merged", "synced", "observed")
 
 Object = Mapping[str, Any]
@@ -269,3 +270,18 @@ def _unchecked(one: Object) -> dict[str, Any]:
     words = {key: str(one.get(key) or "") for key in ("commit", "how", "reason", "problem", "made_good")}
     lists = {key: [str(word) for word in one.get(key) or ()] for key in ("signed_by", "files")}
     return {**words, **lists, "time_ms": text_ms(one.get("time"))}
+
+
+def certificate_documents(page: Object) -> Documents:
+    """The items of the page /accounts of the process certificates: the certificate of each account at the broker."""
+    documents = {}
+    for account in page["accounts"]:
+        life = account["life"] or {}
+        times = {name: _seconds_ms(life.get(key)) for name, key in CERTIFICATE_TIMES.items()}
+        words = {key: str(account[key]) for key in ("account", "namespace")}
+        documents["/".join((words["namespace"], words["account"]))] = {**words, **times}
+    return documents
+
+
+def _seconds_ms(seconds: float | None) -> int | None:
+    return None if seconds is None else round(seconds * MS_OF_SECOND)

@@ -17,10 +17,10 @@ from typing import Any
 
 AGENTS, POSES, TASKS, PLANS, RELEASES, PODS = "agents", "poses", "tasks", "plans", "releases", "pods"
 EVENTS, RULES, CATALOGUE, STRANGERS, SOURCES = "events", "rules", "catalogue", "strangers", "sources"
-LINKS, RECORDINGS, UNCHECKED = "links", "recordings", "unchecked"
+LINKS, RECORDINGS, UNCHECKED, CERTIFICATES = "links", "recordings", "unchecked", "certificates"
 KINDS = (
     AGENTS, POSES, TASKS, PLANS, RELEASES, PODS, EVENTS, RULES, CATALOGUE, STRANGERS, UNCHECKED, LINKS, RECORDINGS,
-    SOURCES,
+    CERTIFICATES, SOURCES,
 )  # fmt: skip
 GONE_MAX = 10_000
 

@@ -1,5 +1,5 @@
-"""Reading the pages of managers, gate and event detectors into the model: when something changed that they know more
-of, and now and then without."""
+"""Reading the pages of managers, gate, event detectors and the process certificates into the model: when something
+changed that they know more of, and now and then without."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 
 from robotkube.delivery.console.core import table as kinds
-from robotkube.delivery.console.core.documents import rule_documents, unchecked_documents
+from robotkube.delivery.console.core.documents import certificate_documents, rule_documents, unchecked_documents
 from robotkube.delivery.console.core.recordings import recording_documents
 from robotkube.delivery.console.loops.model import ReadModel
 from robotkube.delivery.console.ports import Detector, ManagerPages, Pages, Settings
@@ -19,9 +19,12 @@ RETRY_SECONDS_BOUNDS = (RESYNC_SECONDS, 2 * RESYNC_SECONDS)
 LEAST_SECONDS = 0.3  # between two readings, however much changes
 CATALOGUE_SECONDS = 15.0
 SETTINGS_SECONDS = 30.0
-DETECTORS, GATE_PAGES = "detectors", "gate-pages"
+CERTIFICATES_SECONDS = 15.0
+DETECTORS, GATE_PAGES, CERTIFICATES = "detectors", "gate-pages", "certificates"
 MANAGER_ADVICE = "Plans and catalogue are as of then. Look at the pod of component manager."
 GATE_ADVICE = "Checks of plans, and what nobody checked, are as of then. Look at the pod of component gate."
+CERTIFICATES_ADVICE = "Until when certificates hold is as of then. Look at the pod of component certificates."
+NOT_LOOKED = "It has not looked at the certificates of accounts since its start."
 NOT_READ = "The gate has not read main since its start."
 DETECTOR_ADVICE = "Values of events, rules and recordings are as of then. Look at the pods of the event detectors."
 UNREADABLE = (KeyError, TypeError, ValueError, AttributeError, ArithmeticError)
@@ -103,6 +106,42 @@ class GateReader:
     def run(self, stopping: threading.Event) -> None:
         """Read until `stopping` is set, and `wake` called."""
         step_when_woken(_rested(self.step, stopping), self._woken, stopping, RESYNC_SECONDS, RETRY_SECONDS_BOUNDS)
+
+
+class CertificateReader:
+    """Reads until when the certificates of accounts hold. `url` is the address in front of the page."""
+
+    def __init__(self, model: ReadModel, pages: Pages, url: str) -> None:
+        self._model = model
+        self._pages = pages
+        self._url = url
+        self._woken = threading.Event()
+
+    def wake(self) -> None:
+        """Something changed, or it is to end."""
+        self._woken.set()
+
+    def step(self) -> bool:
+        """Read; False when nobody answered, or something keeps certificates from being as they should be."""
+        try:
+            problem = self._read()
+        except RobotKubeError as error:
+            problem = str(error)
+        except UNREADABLE as error:
+            problem = f"{self._url}: a page that cannot be read: {error!r}"
+        self._model.put_source(CERTIFICATES, problem, CERTIFICATES_ADVICE, (kinds.CERTIFICATES,))
+        return not problem
+
+    def _read(self) -> str:
+        page = self._pages.get(f"{self._url}/accounts")
+        if page["accounts"] is None:
+            return str(page["problem"]) or NOT_LOOKED
+        self._model.replace(kinds.CERTIFICATES, certificate_documents(page))
+        return str(page["problem"])
+
+    def run(self, stopping: threading.Event) -> None:
+        """Read until `stopping` is set, and `wake` called."""
+        step_when_woken(self.step, self._woken, stopping, CERTIFICATES_SECONDS, RETRY_SECONDS_BOUNDS)
 
 
 class DetectorReader:
