@@ -91,7 +91,7 @@ def test_each_source_that_is_away_is_said_where_what_it_carries_is_shown() -> No
     views = {
         **{"manager/manager": "plans", "gate": "plans", "forge": "plans", "broker": "agents"},
         **{"api-server-nodes": "agents", "api-server-tasks": "tasks", "argocd-application-controller": "catalogue"},
-        **{"detectors": "recordings"},
+        **{"detectors": "recordings", "gate-pages": "trust", "certificates": "agents"},
     }
     with synthetic("live", views) as url:
         said = console.browse("sources", url, *(f"{source}={view}" for source, view in views.items()))
