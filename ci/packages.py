@@ -18,6 +18,7 @@ INSTALL_TIMEOUT_SECONDS = 900
 NEEDS: dict[str, tuple[str, ...]] = {
     "toolchain": ("ca-certificates", "gcc", "libc6-dev", "libseccomp-dev", "pkg-config"),
     "go": ("golang-go",),
+    "arm64": ("gcc-aarch64-linux-gnu", "libc6-dev-arm64-cross", "pkg-config"),  # compile for it on another machine
     "cluster": (
         "containernetworking-plugins",
         "iproute2",
@@ -74,17 +75,50 @@ def unpacked(package: str) -> tuple[Path, ...]:
     """
     folder = user_cache() / "debian" / package
     programs = (folder / "usr" / "sbin", folder / "usr" / "bin")
-    if any(path.is_dir() for path in programs):
-        return programs
+    if not any(path.is_dir() for path in programs):
+        _unpack(folder, (package,))
+    return programs
+
+
+def unpacked_for(architecture: str, *packages: str) -> Path:
+    """The folder of all files of Debian packages of another architecture, as below `/`. The system is not told of that
+    architecture, and gets nothing: apt keeps its lists for it in a folder that goes. It is below the user's cache
+    folder, and stays."""
+    folder = user_cache() / "debian" / "-".join((*packages, architecture))
+    if not folder.is_dir():
+        _unpack(folder, packages, architecture)
+    return folder
+
+
+def _unpack(folder: Path, packages: tuple[str, ...], architecture: str = "") -> None:
+    """Fetch packages and unpack them into `folder`, which appears when all are there."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent) as made:
-        _apt_get(["update"], "apt-get update")
         # fetched as root: the account apt uses otherwise may not write to this folder
-        _apt_get(["-o", "APT::Sandbox::User=root", "download", package], f"apt-get download {package}", made)
-        [archive] = Path(made).glob("*.deb")
-        subprocess.run(["dpkg-deb", "--extract", archive, Path(made) / "files"], check=True, timeout=60)
+        options = ["-o", "APT::Sandbox::User=root", *(_own_state(Path(made), architecture) if architecture else ())]
+        what = f" for {architecture}" if architecture else ""
+        _apt_get([*options, "update"], f"apt-get update{what}")
+        _apt_get([*options, "download", *packages], f"apt-get download {' '.join(packages)}{what}", made)
+        for archive in sorted(Path(made).glob("*.deb")):
+            subprocess.run(["dpkg-deb", "--extract", archive, Path(made) / "files"], check=True, timeout=60)
         (Path(made) / "files").rename(folder)
-    return programs
+
+
+def _own_state(folder: Path, architecture: str) -> list[str]:
+    """Options by which apt knows another architecture alone, no installed package, and keeps what it reads below
+    `folder`; its sources are the system's."""
+    state, cache = folder / "state", folder / "cache"
+    for place in (state / "lists" / "partial", cache / "archives" / "partial"):
+        place.mkdir(parents=True)
+    (state / "status").touch()
+    settings = {
+        "APT::Architecture": architecture,
+        "APT::Architectures": architecture,
+        "Dir::State": state,
+        "Dir::State::status": state / "status",
+        "Dir::Cache": cache,
+    }
+    return [word for name, value in settings.items() for word in ("-o", f"{name}={value}")]
 
 
 def _apt_get(arguments: list[str], command: str, folder: str | None = None) -> None:

@@ -1,16 +1,18 @@
-"""Programs in Go for arm64: what a file is, which cannot be compiled, and one that is compiled for real."""
+"""Programs in Go for arm64: what a file is, which there are, and two that are compiled for real, one in part in C."""
 
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from ci import packages
 from ci.errors import InputError, SetUpError
 from ci.toolchain import arm64, go
-from ci.toolchain.programs import FOLDER, GITEA, PROGRAMS
+from ci.toolchain.programs import FOLDER, GITEA, PROGRAMS, Program
 
 ELF = b"\x7fELF\x02\x01\x01" + bytes(9) + b"\x02\x00"
 HOOK = next(program for program in PROGRAMS if program.name == "forge-hook")
@@ -36,22 +38,14 @@ def test_a_program_of_this_machine_is_none() -> None:
         arm64.inspect(Path(os.path.realpath(sys.executable)))
 
 
-def test_what_cannot_be_compiled_is_said_with_the_package_that_mends_it(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-    without = {program.name: arm64.lacking(program) for program in PROGRAMS if arm64.lacking(program)}
-    assert set(without) == {program.name for program in PROGRAMS if program.cgo}
-    assert without["gitea"].endswith("apt-get install gcc-aarch64-linux-gnu")
-    assert "libseccomp" in without["runc"]
-    (tmp_path / arm64.C_COMPILER).write_text("")
-    (tmp_path / arm64.C_COMPILER).chmod(0o755)
-    assert [program.name for program in PROGRAMS if arm64.lacking(program)] == ["runc"]
+def test_all_programs_of_the_tool_chain_are_compiled_when_none_is_named() -> None:
+    assert list(arm64.chosen_of([])) == [*(program.name for program in PROGRAMS), arm64.DATABASE]
+    assert list(arm64.chosen_of(["runc", "ferretdb"])) == ["runc", "ferretdb"]
 
 
 def test_a_name_that_is_no_program_is_refused() -> None:
     with pytest.raises(InputError, match=r"gitee: is no program in Go of the tool chain; there is kubernetes, etcd"):
-        arm64.all_of(["gitee"])
+        arm64.chosen_of(["gitee"])
 
 
 @pytest.mark.toolchain
@@ -61,3 +55,33 @@ def test_a_program_is_compiled_for_arm64(tmp_path: Path) -> None:
     versions = {GITEA: go.module_version(FOLDER / "gitea", GITEA)}
     assert arm64.compile_one(HOOK, versions, tmp_path).startswith("ELF, AArch64, ")
     assert not (tmp_path / HOOK.name).read_bytes().startswith(ELF + b"\x3e")
+
+
+C_PART = """package main
+
+// #cgo pkg-config: libseccomp
+// #include <seccomp.h>
+import "C"
+
+func main() { C.seccomp_version() }
+"""
+
+
+@pytest.mark.toolchain
+@pytest.mark.thorough
+def test_a_part_in_c_is_linked_with_the_library_of_arm64(tmp_path: Path) -> None:
+    """What runc is: Go, C, and libseccomp, of which the system gets neither the files nor the architecture."""
+    (tmp_path / "go.mod").write_text("module example.com/linked\n")
+    (tmp_path / "main.go").write_text(C_PART)
+    (tmp_path / "bin").mkdir()
+    before = _architectures()
+    packages.ensure(arm64.ARCHITECTURE)
+    linked = Program("linked", "example.com/linked", ".", {}, folder=tmp_path, cgo=True)
+    assert arm64.compile_one(linked, {}, tmp_path / "bin").startswith("ELF, AArch64, ")
+    assert b"\0libseccomp.so.2\0" in (tmp_path / "bin" / "linked").read_bytes()
+    assert _architectures() == before
+
+
+def _architectures() -> str:
+    command = ["dpkg", "--print-foreign-architectures"]
+    return subprocess.run(command, capture_output=True, text=True, check=True, timeout=30).stdout
