@@ -1,5 +1,5 @@
 """`make lock`: the lock files of operator/requirements/ from operator/pyproject.toml, with hashes and without
-download addresses.
+download addresses; and which of the robots' files are for the image on ROS 2 of Ubuntu.
 """
 
 from __future__ import annotations
@@ -8,6 +8,8 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+
+from ci.images import wheels
 
 TOP = Path(__file__).resolve().parent.parent
 # cyclonedx-bom asks for jsonschema's format checks, of which one builds a grammar whenever jsonschema is imported:
@@ -49,7 +51,7 @@ def main() -> int:
             ]
             subprocess.run([*command, *options], cwd=TOP / "operator", check=True, stdout=subprocess.DEVNULL)
             print(f"operator/{target}")
-    return 0
+    return wheels.main()
 
 
 if __name__ == "__main__":
