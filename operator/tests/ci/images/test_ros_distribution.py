@@ -165,6 +165,14 @@ def test_every_message_package_that_the_base_must_have_is_named() -> None:
     assert messages() == {*packages, "builtin_interfaces"}
 
 
+def test_the_page_gives_the_command_and_names_what_comes_from_the_base() -> None:
+    page = (REPOSITORY / "docs" / "reference" / "bundles.md").read_text(encoding="utf-8")
+    (base,) = re.findall(r"^ARG BASE=(.*)$", dockerfile("ros-distribution"), re.M)
+    assert f"--platform linux/arm64 --build-arg BASE={base} " in page
+    assert "--file operator/images/ros-distribution/Dockerfile ." in page
+    assert {name for name in messages() if f"`{name}`" not in page} == set()
+
+
 def test_both_images_of_robots_have_the_same_commands_and_settings() -> None:
     places = {"LD_LIBRARY_PATH", "AMENT_PREFIX_PATH", "PATH"}
     commands, settings = [], []
