@@ -14,6 +14,7 @@ from ci.errors import SetUpError
 from ci.folders import user_cache
 
 INSTALL_TIMEOUT_SECONDS = 900
+AS_ROOT = ("-o", "APT::Sandbox::User=root")  # the account apt uses otherwise may not write to the folders it is given
 
 NEEDS: dict[str, tuple[str, ...]] = {
     "toolchain": ("ca-certificates", "gcc", "libc6-dev", "libseccomp-dev", "pkg-config"),
@@ -94,11 +95,10 @@ def _unpack(folder: Path, packages: tuple[str, ...], architecture: str = "") -> 
     """Fetch packages and unpack them into `folder`, which appears when all are there."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent) as made:
-        # fetched as root: the account apt uses otherwise may not write to this folder
-        options = ["-o", "APT::Sandbox::User=root", *(_own_state(Path(made), architecture) if architecture else ())]
+        own = _own_state(Path(made), architecture) if architecture else []
         what = f" for {architecture}" if architecture else ""
-        _apt_get([*options, "update"], f"apt-get update{what}")
-        _apt_get([*options, "download", *packages], f"apt-get download {' '.join(packages)}{what}", made)
+        _apt_get([*own, "update"], f"apt-get update{what}")
+        _apt_get([*own, *AS_ROOT, "download", *packages], f"apt-get download {' '.join(packages)}{what}", made)
         for archive in sorted(Path(made).glob("*.deb")):
             subprocess.run(["dpkg-deb", "--extract", archive, Path(made) / "files"], check=True, timeout=60)
         (Path(made) / "files").rename(folder)
@@ -118,7 +118,7 @@ def _own_state(folder: Path, architecture: str) -> list[str]:
         "Dir::State::status": state / "status",
         "Dir::Cache": cache,
     }
-    return [word for name, value in settings.items() for word in ("-o", f"{name}={value}")]
+    return [*AS_ROOT, *(word for name, value in settings.items() for word in ("-o", f"{name}={value}"))]
 
 
 def _apt_get(arguments: list[str], command: str, folder: str | None = None) -> None:

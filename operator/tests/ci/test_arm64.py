@@ -82,6 +82,17 @@ def test_a_part_in_c_is_linked_with_the_library_of_arm64(tmp_path: Path) -> None
     assert _architectures() == before
 
 
+@pytest.mark.toolchain
+@pytest.mark.thorough
+def test_a_library_that_debian_has_not_is_named_with_the_architecture(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    with pytest.raises(SetUpError, match=r"^apt-get download no-such-library for arm64 failed: .*no-such-library"):
+        packages.unpacked_for(arm64.ARCHITECTURE, "no-such-library")
+    assert list((tmp_path / "robotkube" / "debian").iterdir()) == []
+
+
 def _architectures() -> str:
     command = ["dpkg", "--print-foreign-architectures"]
     return subprocess.run(command, capture_output=True, text=True, check=True, timeout=30).stdout

@@ -195,7 +195,7 @@ def commands(tmp_path: Path) -> Path:
 
 def check(folder: Path, *types: str) -> subprocess.CompletedProcess[str]:
     """What the image runs at the end of its build, run by this Python with the wheels."""
-    command = [sys.executable, IMAGES / "ros-distribution" / "check-ros", folder, *types]
+    command = [sys.executable, str(IMAGES / "ros-distribution" / "check-ros"), str(folder), *types]
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
 
 
