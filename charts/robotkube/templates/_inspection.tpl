@@ -30,7 +30,7 @@ namespaces:
   others: {{ $inspection.otherNamespaces }}
 images:
 {{- $images := list }}
-{{- range $name, $reference := .Values.images }}{{ if and $reference (or (ne $name "mongo") (eq $.Values.database.kind "mongo")) }}{{ $images = append $images (include "robotkube.image" (dict "root" $ "name" $name)) }}{{ end }}{{ end }}
+{{- range $name, $reference := .Values.images }}{{ if and $reference (or (ne $name "mongo") (eq (include "robotkube.suitesDatabase" $) "mongo")) }}{{ $images = append $images (include "robotkube.image" (dict "root" $ "name" $name)) }}{{ end }}{{ end }}
 {{- range concat $images $inspection.images | uniq | sortAlpha }}
 - {{ . }}
 {{- end }}

@@ -144,7 +144,8 @@
 {{- end }}
 {{- if .Values.admission.enabled }}
 {{- $unused := list }}
-{{- range $kind := list "mongo" "ferretdb" }}{{ if ne $kind $.Values.database.kind }}{{ $unused = append $unused $kind }}{{ end }}{{ end }}
+{{- $database := .Values.suites.enabled | ternary (include "robotkube.suitesDatabase" .) .Values.database.kind }}
+{{- range $kind := list "mongo" "ferretdb" }}{{ if ne $kind $database }}{{ $unused = append $unused $kind }}{{ end }}{{ end }}
 {{- if ne .Values.forge.kind "gitea" }}{{ $unused = append $unused "gitea" }}{{ end }}
 {{- if not .Values.suites.enabled }}{{ $unused = concat $unused (list "suites" "ros") }}{{ end }}
 {{- if and (ne .Values.broker.kind "mosquitto") (not .Values.suites.enabled) }}{{ $unused = append $unused "mosquitto" }}{{ end }}

@@ -218,13 +218,14 @@ test_namespaces:
 images:
   observer: {{ include "robotkube.image" (dict "root" . "name" "ros") }}
   broker: {{ include "robotkube.image" (dict "root" . "name" "mosquitto") }}
-{{- if eq .Values.database.kind "external" }}
+{{- $kind := include "robotkube.suitesDatabase" . }}
+{{- if not $kind }}
   database: ""
 database: {kind: "", arguments: []}         # none: charts that name a database account are refused
 {{- else }}
-  database: {{ include "robotkube.image" (dict "root" . "name" .Values.database.kind) }}
+  database: {{ include "robotkube.image" (dict "root" . "name" $kind) }}
 database:
-  kind: {{ .Values.database.kind }}
+  kind: {{ $kind }}
   arguments: {{ toJson .Values.database.arguments }}
 {{- end }}
 {{- end }}

@@ -302,15 +302,35 @@ def notes(helm: Any, values: dict[str, Any], folder: Path) -> str:
     return str(yaml.safe_load(done.stdout)["notes"])
 
 
-def test_suites_start_a_database_of_the_platforms_kind_or_none(helm: Any, embedded: Any) -> None:
+def test_suites_start_a_database_of_the_platforms_kind(helm: Any, embedded: Any) -> None:
     settings = yaml.safe_load(embedded.one("ConfigMap", "suite-runner")["data"]["config.yaml"])
     assert settings["database"]["kind"] == "ferretdb"
     assert "--handler=sqlite" in settings["database"]["arguments"]
+
+
+@pytest.mark.parametrize(
+    ("ferretdb", "mongo", "admission", "kind"),
+    [
+        ("registry.example/ferretdb:1", "registry.example/mongo:8", False, "ferretdb"),
+        ("", "registry.example/mongo:8", False, "mongo"),
+        ("", f"registry.example/mongo@sha256:{'7' * 64}", True, "mongo"),
+        ("", "registry.example/mongo:8", True, ""),  # admission would not let it run
+        ("", "", False, ""),
+    ],
+)
+def test_beside_a_database_of_others_suites_start_one_whose_image_is_given(
+    helm: Any, ferretdb: str, mongo: str, admission: bool, kind: str
+) -> None:
     database = {"kind": "external", "external": {"host": "mongo.example"}}
-    rendered = helm.template(PLATFORM, PROFILE, database=database)
+    pinned = {name: f"registry.example/{name}@sha256:{'8' * 64}" for name in ("mosquitto", "gitea")}
+    values = {"images": {**pinned, "ferretdb": ferretdb, "mongo": mongo}, "admission": {"enabled": admission}}
+    rendered = helm.template(PLATFORM, PROFILE, database=database, **values)
     settings = yaml.safe_load(rendered.one("ConfigMap", "suite-runner")["data"]["config.yaml"])
-    assert settings["database"] == {"kind": "", "arguments": []}
-    assert settings["images"]["database"] == ""
+    assert settings["database"]["kind"] == kind
+    image = {"ferretdb": ferretdb, "mongo": mongo, "": ""}[kind]
+    assert settings["images"]["database"] == image
+    known = yaml.safe_load(rendered.one("ConfigMap", "inspector")["data"]["config.yaml"])["images"]
+    assert (mongo in known) == (kind == "mongo")
 
 
 def test_images_can_be_looked_up_by_name(embedded: Any) -> None:
