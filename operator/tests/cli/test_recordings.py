@@ -13,6 +13,7 @@ import pytest
 
 from robotkube.cli import main as cli
 from robotkube.cli.output import Table, write
+from robotkube.cli.platform import Platform
 from robotkube.cli.recordings import commands as cli_recordings
 from robotkube.errors import InputError, RefusalError, UnavailableError
 from robotkube.robots.recording.core.documents import SegmentPlace
@@ -28,6 +29,26 @@ def payload(topic: str, stamp: int) -> bytes:
 
 def digest(topic: str, stamp: int) -> str:
     return hashlib.sha256(payload(topic, stamp)).hexdigest()
+
+
+class Services(Platform):
+    """A platform of which there are two Services, each in a namespace of its own."""
+
+    def __init__(self) -> None:
+        self._namespace = "robotkube"
+
+    def _read(
+        self, method: str, path: str, query: Sequence[tuple[str, str]] = (), body: Any = None
+    ) -> Mapping[str, Any]:
+        addresses = {"robotkube/services/database": "10.96.0.7", "managed/services/mongo": "10.96.0.8"}
+        return {"spec": {"clusterIP": addresses[path.removeprefix("/api/v1/namespaces/")]}}
+
+
+class Away:
+    """A database that does not answer."""
+
+    def recordings(self) -> Any:
+        raise UnavailableError("no answer")
 
 
 def audit(topic: str, received: int, **values: Any) -> dict[str, Any]:
@@ -106,6 +127,30 @@ def ledgers(tmp_path: Path) -> Path:
 
 def verified(memory: Memory, folder: Path, window: tuple[int, int] | None = None) -> Table:
     return cli_recordings.verified({"cloud-0": memory}, memory, NAME, [folder], window)
+
+
+@pytest.mark.parametrize(
+    ("host", "address", "way"),
+    [
+        (
+            "database.robotkube.svc.cluster.local",
+            "10.96.0.7",
+            "kubectl -n robotkube port-forward service/database 27018",
+        ),
+        ("mongo.managed.svc", "10.96.0.8", "kubectl -n managed port-forward service/mongo 27018"),
+        ("mongo.example.com", "mongo.example.com", "give with --database HOST:PORT where it is"),
+    ],
+)
+def test_a_database_is_reached_where_its_account_says(host: str, address: str, way: str) -> None:
+    assert Services().address_of({"host": host, "port": "27018"}) == (address, 27018)
+    unreachable: Any = Away()
+    with pytest.raises(UnavailableError, match=f"is {address}:27018 in reach from here\\? Else (run `)?{way}"):
+        cli_recordings._Explained(unreachable, f"{address}:27018", host, "27018").recordings()
+
+
+def test_a_service_that_is_not_there_is_named() -> None:
+    with pytest.raises(InputError, match=r"^no Service away in namespace managed$"):
+        Services().address_of({"host": "away.managed.svc", "port": "27018"})
 
 
 def test_the_list_has_the_oldest_first_and_names_the_agent() -> None:

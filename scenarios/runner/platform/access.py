@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -23,6 +23,7 @@ from robotkube.foundation.certificates.adapters.account_files import REQUIRED, S
 from robotkube.foundation.certificates.adapters.certificate_authorities import trust_text
 from robotkube.foundation.database.adapters.connection import DatabaseLogin, login_at
 from robotkube.foundation.forge.adapters.relay import by_name
+from robotkube.foundation.kubernetes.core.service_names import service_of
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount, read_broker_account
 from scenarios.runner.waiting import RunError
 
@@ -108,9 +109,9 @@ class Access:
         them mounted. From this machine names of Services are not resolved: the address is the broker's, the name in its
         certificate that of the Secret."""
         values = self.secret(PLATFORM, secret)
-        broker = self.endpoint("broker")
+        host, port = self._reached(values)
         folder.chmod(0o700)
-        at = {"host": broker.host, "port": str(broker.port), SERVER_NAME: values["host"]}
+        at = {"host": host, "port": str(port), SERVER_NAME: values["host"]}
         authorities = self._authorities(values)
         for name, text in {**values, **at, **authorities}.items():
             (folder / name).write_text(text)
@@ -119,8 +120,18 @@ class Access:
     def database_account(self, namespace: str, folder: Path) -> DatabaseLogin:
         """The account of a recording agent at the database, as above; `folder` gets the authorities alone."""
         values = self.secret(namespace, DATABASE_ACCOUNT)
-        database = self.endpoint("database")
-        return login_at((database.host, database.port), values, self._authorities(values).get("ca.crt", ""), folder)
+        return login_at(self._reached(values), values, self._authorities(values).get("ca.crt", ""), folder)
+
+    def _reached(self, account: Mapping[str, str]) -> tuple[str, int]:
+        """Host and port at which this process reaches what an account is of: a Service of any namespace as all Services
+        are, what stands outside of the cluster by its name."""
+        host, port = account["host"], int(account["port"])
+        named = service_of(host)
+        if named is None:
+            return host, port
+        namespace, name = named
+        service, _ = self.service(name, namespace)
+        return self._reach(replace(service, port=port))
 
     def _authorities(self, account: Mapping[str, str]) -> Mapping[str, str]:
         """Who may have signed for what an account is of; empty where that speaks clear text."""

@@ -21,6 +21,7 @@ from robotkube.foundation.documents.core.json_codec import read_json_shortened
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.forge.adapters.relay import by_name
 from robotkube.foundation.kubernetes.adapters import client
+from robotkube.foundation.kubernetes.core.service_names import service_of
 
 OBJECTS_MAX = 5000
 PAGE_OBJECTS = 500
@@ -197,13 +198,20 @@ class Platform:
         spec = self._service(service)
         return str(spec["clusterIP"]), int(spec["ports"][0]["port"])
 
-    def _service(self, service: str) -> Mapping[str, Any]:
+    def address_of(self, account: Mapping[str, str]) -> tuple[str, int]:
+        """Where what an account is of is reached from here, by the Secret's `host` and `port`: a Service of this
+        cluster at its ClusterIP, since pods alone resolve its name, and what stands elsewhere at its name."""
+        host, port = account["host"], int(account["port"])
+        service = service_of(host)
+        return (str(self._service(service[1], service[0])["clusterIP"]) if service else host), port
+
+    def _service(self, service: str, namespace: str = "") -> Mapping[str, Any]:
+        place = namespace or self._namespace
         try:
-            document = self._read("GET", f"/api/v1/namespaces/{self._namespace}/services/{service}")
+            document = self._read("GET", f"/api/v1/namespaces/{place}/services/{service}")
         except KeyError as error:
-            raise InputError(
-                f"no Service {service} in namespace {self._namespace}; see --platform-namespace"
-            ) from error
+            hint = "" if namespace else "; see --platform-namespace"
+            raise InputError(f"no Service {service} in namespace {place}{hint}") from error
         spec: Mapping[str, Any] = document["spec"]
         return spec
 

@@ -1,5 +1,5 @@
-"""How a run reaches the broker from this machine: by its address, verified by the name that its account has. And the
-manager through the API server: by HTTPS where its Service says so."""
+"""How a run reaches broker and database from this machine: by their address, verified by the name that an account has,
+wherever they stand. And the manager through the API server: by HTTPS where its Service says so."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from ci.cluster_contract.provider import ServicePort, directly
 from robotkube.foundation.certificates.adapters.verification import ServerVerification
 from scenarios.runner.platform.access import Access, Endpoint
 
@@ -18,19 +19,21 @@ ACCOUNT = {"username": "observer", "password": "secret", "host": HOST, "port": "
 class Cluster(Access):
     """The cluster's answers."""
 
-    def __init__(self, tls: str) -> None:
-        self.values = {**ACCOUNT, "tls": tls} if tls else ACCOUNT
+    def __init__(self, tls: str, **others: str) -> None:
+        self.values = {**ACCOUNT, **others, "tls": tls} if tls else {**ACCOUNT, **others}
+        self._reach = directly
 
     def secret(self, namespace: str, name: str) -> dict[str, str]:
-        assert (namespace, name) == ("robotkube", "broker-account-observer")
+        assert (namespace, name) in [("robotkube", "broker-account-observer"), ("cloud-0", "database-account")]
         return dict(self.values)
 
     def configmap(self, namespace: str, name: str) -> dict[str, str]:
         assert (namespace, name, self.values["tls"]) == ("robotkube", "robotkube-ca", "required")
         return {"ca.crt": "the authority"}
 
-    def endpoint(self, name: str, namespace: str = "robotkube") -> Endpoint:
-        return Endpoint("10.96.0.9", 8883)
+    def service(self, name: str, namespace: str = "robotkube") -> tuple[ServicePort, bool]:
+        addresses = {("robotkube", "broker"): "10.96.0.9", ("managed", "mqtt"): "10.96.0.10"}
+        return ServicePort(namespace, name, addresses[namespace, name], 1), False
 
 
 def test_the_broker_proves_the_name_of_its_service(tmp_path: Path) -> None:
@@ -45,6 +48,24 @@ def test_the_broker_proves_the_name_of_its_service(tmp_path: Path) -> None:
 def test_in_clear_text_where_the_platform_says_so(tmp_path: Path, tls: str) -> None:
     account = Cluster(tls).broker_account("broker-account-observer", tmp_path)
     assert (account.host, account.tls) == ("10.96.0.9", None)
+
+
+@pytest.mark.parametrize(
+    ("host", "address"),
+    [("mqtt.managed.svc.cluster.local", "10.96.0.10"), ("mqtt.example.com", "mqtt.example.com")],
+)
+def test_one_of_others_is_reached_where_its_account_says(tmp_path: Path, host: str, address: str) -> None:
+    account = Cluster("required", host=host, port="8884").broker_account("broker-account-observer", tmp_path)
+    assert (account.host, account.port) == (address, 8884)
+    assert account.tls == ServerVerification(tmp_path / "ca.crt", host)
+
+
+@pytest.mark.parametrize("host", ["mqtt.managed.svc", "mongo.example.com"])
+def test_a_database_of_others_is_reached_in_the_same_way(tmp_path: Path, host: str) -> None:
+    of_database = {"database": "recordings_cloud_0", "authenticationDatabase": "recordings_cloud_0"}
+    login = Cluster("required", host=host, port="27017", **of_database).database_account("cloud-0", tmp_path)
+    assert (login.host, login.port) == ("10.96.0.10" if host.endswith("svc") else host, 27017)
+    assert login.tls == ServerVerification(tmp_path / "ca.crt", host)
 
 
 class ClusterOfManager(Access):

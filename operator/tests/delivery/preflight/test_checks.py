@@ -20,11 +20,12 @@ from robotkube.delivery.preflight.core.findings import (
     Unread,
     gathered,
 )
-from robotkube.delivery.preflight.core.registries import RegistryAnswer, host_of, service_of
+from robotkube.delivery.preflight.core.registries import RegistryAnswer, host_of
 from robotkube.delivery.preflight.core.releases import HelmRevision, PresentObjects
 from robotkube.delivery.preflight.core.renderings import RenderedChart
 from robotkube.delivery.preflight.core.storage import Storage
 from robotkube.delivery.preflight.core.values import Judgement
+from robotkube.foundation.kubernetes.core.service_names import service_of
 from tests.stages.delivery.preflight.preflight_facts import (
     AGENTS,
     DEFAULT_CLASS,

@@ -1,7 +1,7 @@
 """The commands `robotkube recording list|show|verify`: recordings, and whether they are what their sources published.
 
 For administrators of the cluster: the accounts come from the Secrets `database-account` of the agents that record, and
-the database is reached at the address of its Service, or where `--database` says.
+the database is reached as the Secret says, a Service at its address, or where `--database` says.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from robotkube.cli.recordings.volumes import add_argument as add_segments
 from robotkube.cli.recordings.volumes import folders_here, volume_place
 from robotkube.errors import DocumentError, InputError, RefusalError, UnavailableError
 from robotkube.foundation.database.adapters.connection import connect, login_at
+from robotkube.foundation.kubernetes.core.service_names import service_of
 from robotkube.robots.recording.adapters.mongodb import PymongoRecordingReader
 from robotkube.robots.recording.adapters.segments import McapSegmentReader
 from robotkube.robots.recording.core.audits import AuditSum
@@ -62,7 +63,7 @@ MANIFEST_COLUMNS = ("writer", "volume", "sealed", "documents", "adopted")
 def listing(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of every command about recordings."""
     parser.add_argument("--agent", default="", help="only what this agent recorded (default: all that record)")
-    parser.add_argument("--database", metavar="HOST:PORT", help="where the database answers (default: its Service)")
+    parser.add_argument("--database", metavar="HOST:PORT", help="where the database is (default: as its Secret says)")
 
 
 def naming(parser: argparse.ArgumentParser) -> None:
@@ -213,16 +214,21 @@ class _Explained:
 
     reader: PymongoRecordingReader
     address: str
+    host: str  # as pods know it
     port: str
 
     def recordings(self) -> Sequence[Mapping[str, Any]]:
         try:
             return self.reader.recordings()
         except UnavailableError as error:
-            raise UnavailableError(
-                f"{error}; is {self.address} in reach from here? Else run `kubectl -n robotkube port-forward "
-                f"service/database {self.port}` and add --database 127.0.0.1:{self.port}"
-            ) from error
+            raise UnavailableError(f"{error}; is {self.address} in reach from here? Else {self._way()}") from error
+
+    def _way(self) -> str:
+        service = service_of(self.host)
+        if service is None:
+            return "give with --database HOST:PORT where it is"
+        forward = f"kubectl -n {service[0]} port-forward service/{service[1]} {self.port}"
+        return f"run `{forward}` and add --database 127.0.0.1:{self.port}"
 
     def buckets(self, recording: str) -> Iterator[Mapping[str, Any]]:
         yield from self.reader.buckets(recording)
@@ -244,11 +250,14 @@ def readers_of(options: argparse.Namespace) -> Readers:
     """The databases by agent that records, as the options of the command say."""
     platform = Platform(options)
     accounts = platform.database_accounts(options.agent)
-    address = _address(options.database) if options.database else platform.address("database")
+    given = _address(options.database) if options.database else None
     folder = Path(tempfile.mkdtemp(prefix="robotkube-"))  # read again at each connection
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     authorities = platform.authorities()
-    return {agent: _reader(address, values, authorities, folder) for agent, values in sorted(accounts.items())}
+    return {
+        agent: _reader(given or platform.address_of(values), values, authorities, folder)
+        for agent, values in sorted(accounts.items())
+    }
 
 
 def segments_of(options: argparse.Namespace) -> SegmentReader:
@@ -260,7 +269,7 @@ def segments_of(options: argparse.Namespace) -> SegmentReader:
 def _reader(address: tuple[str, int], values: Mapping[str, str], authorities: str, folder: Path) -> RecordingReader:
     account = login_at(address, values, authorities, folder)
     host, port = address
-    return _Explained(PymongoRecordingReader(connect(account)), f"{host}:{port}", values["port"])
+    return _Explained(PymongoRecordingReader(connect(account)), f"{host}:{port}", values["host"], values["port"])
 
 
 def find(readers: Readers, recording: str) -> tuple[str, RecordingReader, Mapping[str, Any]]:

@@ -14,12 +14,13 @@ from robotkube.delivery.preflight.adapters.chart_sources import PlatformChart
 from robotkube.delivery.preflight.adapters.cluster_facts import ClusterFacts
 from robotkube.delivery.preflight.adapters.registry_answers import RegistryQuestions
 from robotkube.delivery.preflight.core import argocd, kinds, owners, rights
-from robotkube.delivery.preflight.core.registries import RegistryAnswer, hosts, service_of
+from robotkube.delivery.preflight.core.registries import RegistryAnswer, hosts
 from robotkube.delivery.preflight.core.renderings import RenderedChart
 from robotkube.delivery.preflight.core.values import Judgement, completed, without_value
 from robotkube.delivery.preflight.loops.reading import FactReading
 from robotkube.errors import InputError, UnavailableError
 from robotkube.foundation.documents.adapters.json_schema import violations
+from robotkube.foundation.kubernetes.core.service_names import service_of
 from robotkube.registry.charts.adapters.helm import LACKING, REFUSED, HelmProgram
 
 SECONDS_MAX = 7.0

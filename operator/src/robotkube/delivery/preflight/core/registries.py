@@ -13,7 +13,6 @@ from robotkube.registry.charts.core.pod_images import pod_images
 HUB, HUB_API = "docker.io", "registry-1.docker.io"
 HOST = re.compile(r"(?:[^/]*[.:][^/]*|localhost)(?=/)")
 CHALLENGE = re.compile(r'(Basic|Bearer)\b(?:.*?\brealm="([^"]*)")?', re.IGNORECASE)
-OF_THE_CLUSTER = ".svc"
 WHY = "nodes that do not get an image do not start its pods"
 
 
@@ -37,13 +36,6 @@ def host_of(image: str) -> str:
     """The host of an image's registry; without one it is Docker's."""
     match = HOST.match(image)
     return match[0] if match else HUB
-
-
-def service_of(host: str) -> tuple[str, str] | None:
-    """Namespace and name of the Service that a host of the cluster's own names stands for."""
-    name, _, rest = host.partition(":")[0].partition(".")
-    namespace, _, domain = rest.partition(".")
-    return (namespace, name) if f".{domain}.".startswith(f"{OF_THE_CLUSTER}.") else None
 
 
 def registries(reached: Mapping[str, RegistryAnswer]) -> CheckVerdict:

@@ -11,8 +11,8 @@ from robotkube.delivery.preflight.core.findings import CheckVerdict, Problem, Un
 from robotkube.delivery.preflight.core.probing.answers import CLOSED_PORT, OPEN_PORT, ProbeAnswer
 from robotkube.delivery.preflight.core.probing.clocks import behind_the_middle
 from robotkube.delivery.preflight.core.probing.outcomes import NodeOutcome, Probed
-from robotkube.delivery.preflight.core.registries import service_of
 from robotkube.delivery.preflight.core.renderings import Object, RenderedChart, agents, enabled, name_of
+from robotkube.foundation.kubernetes.core.service_names import service_of
 from robotkube.registry.suites.core.pod_security import mapping
 
 CLOCK_SECONDS_MAX = 0.1

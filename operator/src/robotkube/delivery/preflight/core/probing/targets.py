@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from robotkube.delivery.preflight.core.probing.objects import ProbeTarget
-from robotkube.delivery.preflight.core.registries import service_of
 from robotkube.delivery.preflight.core.renderings import RenderedChart, name_of
 from robotkube.errors import InputError
+from robotkube.foundation.kubernetes.core.service_names import service_of
 from robotkube.registry.suites.core.pod_security import items, mapping
 
 
