@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
+from robotkube.delivery.preflight.core.values import merged
 from tests.stages.paths import CHARTS, DOCS
 
 pytestmark = pytest.mark.toolchain
@@ -21,10 +22,10 @@ BLOCK = re.compile(r"^```yaml\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 INSTALLED = {"broker": "Deployment/broker", "database": "StatefulSet/database", "forge": "StatefulSet/forge"}
 
 
-def example(part: str) -> dict[str, Any]:
-    """The one example that is about it."""
+def example(*parts: str) -> dict[str, Any]:
+    """The one example that is about these, and about nothing else that is installed."""
     blocks = [yaml.safe_load(text) for page in PAGES for text in BLOCK.findall(page.read_text(encoding="utf-8"))]
-    [found] = [one for one in blocks if part in one]
+    [found] = [one for one in blocks if INSTALLED.keys() & one.keys() == set(parts)]
     return dict(found)
 
 
@@ -53,6 +54,24 @@ def test_everybody_connects_to_the_database_of_others(helm: Any) -> None:
     account = rendered.one("Secret", "database-account", "cloud-0")["stringData"]
     assert (account["host"], account["port"], account["tls"]) == ("mongo.example.com", "27017", "required")
     assert "Job/installation-test" not in {name for name, _ in rendered.pods}
+
+
+def test_broker_and_database_of_others_in_one_file(helm: Any) -> None:
+    rendered = helm.template(PLATFORM, OFFICIAL, **example("broker", "database"))
+    workloads = {name for name, _ in rendered.pods}
+    assert {
+        INSTALLED["broker"],
+        INSTALLED["database"],
+        "Deployment/rights",
+        "Deployment/certificates",
+    } & workloads == set()
+    account = rendered.one("Secret", "broker-account", "cloud-0")["stringData"]
+    assert (account["host"], account["port"], account["tls"]) == ("mqtt.example.com", "8883", "required")
+    assert (account["identity"], account["username"]) == ("password", "cloud-0")
+    both = ["198.51.100.7/32", "198.51.100.8/32"]
+    assert (opened(rendered, "manager", 8883), opened(rendered, "recorder", 27017)) == (both, both)
+    refused = helm.refusal(PLATFORM, OFFICIAL, **merged(example("broker"), example("database")))
+    assert "tls.provided.database is given, but tls.mode is provided and database.kind external" in refused
 
 
 def test_everybody_connects_to_the_forge_of_others(helm: Any) -> None:

@@ -58,6 +58,7 @@ ORDER = (
     "cluster/test_short_certificates",
     "cluster/test_refusals_without_admission",
     "cluster/test_other_cluster",
+    "cluster/test_managed_services",
     "cluster/test_cluster_of_others",
     "kind/test_use_case_on_kind",
     "kind/test_existing_on_kind",
