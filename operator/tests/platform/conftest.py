@@ -60,6 +60,7 @@ ORDER = (
     "cluster/test_other_cluster",
     "cluster/test_managed_services",
     "cluster/test_cluster_of_others",
+    "cluster/test_installed_from_registry",
     "kind/test_use_case_on_kind",
     "kind/test_existing_on_kind",
     "cluster/test_interrupting",

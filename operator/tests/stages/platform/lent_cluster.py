@@ -85,9 +85,9 @@ class LentCluster:
         """What `make down` prints."""
         return self._make("down", DOWN_SECONDS_MAX)
 
-    def bring_bundle(self, archive: Path) -> dict[str, str]:
-        """Write the platform's bundle, push it to the registry, and take the file away; the digest of each image in it,
-        by name."""
+    def bring_bundle(self, archive: Path, keep: bool = False) -> dict[str, str]:
+        """Write the platform's bundle, push it to the registry, and take the file away unless it is to be kept; the
+        digest of each image in it, by name."""
         prepared = preparation.everything()
         charts = submission_folders.all_charts(publish.CHARTS)
         submitted = publish.read_all(prepared.references(), evidence.kept_folder(), charts)
@@ -95,7 +95,8 @@ class LentCluster:
         contents = bundle.write(archive, prepared.images, submitted, manifests)
         words = ["--to", self.place, "--ca", str(self.authority), "--oras", str(oras.ensure() / "oras")]
         self._run("ci/python", "-m", "robotkube.cli", "bundle", "push", str(archive), *words, seconds=PUSH_SECONDS_MAX)
-        archive.unlink()
+        if not keep:
+            archive.unlink()
         return {item.name: item.digest for item in contents.of(IMAGE)}
 
     def _make(self, target: str, seconds: float, **variables: str) -> str:
