@@ -27,6 +27,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
+from urllib.parse import urlsplit
 
 import httpx
 
@@ -43,6 +44,7 @@ from robotkube.foundation.certificates.adapters.certificate_authorities import c
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.forge.adapters.relay import by_name
 from robotkube.foundation.forge.ports.pull_requests import PullRequest
+from robotkube.foundation.kubernetes.core.service_names import port_of, service_of
 from robotkube.registry.catalogue.core.catalogue import read_application
 from robotkube.registry.charts.adapters.oci import OciRegistry
 from robotkube.registry.charts.core.packing import CHART_FILE
@@ -52,8 +54,7 @@ from robotkube.registry.publication.loops.submitting import REFUSED, SubmissionO
 from robotkube.registry.publication.ports import ChartSource, SubmittedSources
 
 NAMESPACE = "robotkube"
-SERVICE = "forge"
-PORT = 3000
+GATE, GATE_NAMESPACE = "gate", "robotkube-gate"  # whose settings say where the forge is
 AUTHORITIES = "robotkube-ca"
 IMAGE_ACCOUNT = "image-publisher"
 PERSON = "operator-team"
@@ -113,26 +114,32 @@ def find_accounts(kubeconfig: Path, reach: Reach = directly) -> PublishingAccoun
 
 
 def find_forge(kubeconfig: Path, account: str = ACCOUNT, reach: Reach = directly) -> ForgeAccess:
-    """The forge's address by `reach` (else its Service's, which nodes reach), and an account of it."""
+    """The forge's address by `reach` (else its Service's, which nodes reach), and an account of it. One of others that
+    is no Service is reached at its URL, and its certificate is of the usual authorities."""
     from kubernetes import client, config
     from urllib3.exceptions import HTTPError
 
     account_secret = f"forge-account-{account}"
     try:
         api = client.CoreV1Api(config.new_client_from_config(str(kubeconfig)))
-        service = api.read_namespaced_service(SERVICE, NAMESPACE, _request_timeout=10)
+        settings = api.read_namespaced_config_map(GATE, GATE_NAMESPACE, _request_timeout=10).data["config.yaml"]
+        url = str(read_mapping(settings, f"configmap {GATE_NAMESPACE}/{GATE}")["forge"]["url"])
+        namespace, name = service_of(urlsplit(url).netloc) or ("", "")
+        service = api.read_namespaced_service(name, namespace, _request_timeout=10) if name else None
         secret = api.read_namespaced_secret(account_secret, NAMESPACE, _request_timeout=10)
     except client.ApiException as error:
-        what = f"namespace {NAMESPACE}: Service {SERVICE} or Secret {account_secret}: {error.reason}"
+        of_gate, of_account = f"ConfigMap {GATE_NAMESPACE}/{GATE}", f"Secret {NAMESPACE}/{account_secret}"
+        what = f"{of_gate}, {of_account} or the forge's Service: {error.reason}"
         raise SetUpError(f"{what}; install the platform first (charts/robotkube)") from error
     except (config.ConfigException, HTTPError, OSError) as error:
         raise SetUpError(f"{kubeconfig}: no answer from this cluster: {error}") from error
     password = base64.b64decode(secret.data["password"]).decode()
-    encrypted = service.spec.ports[0].name == "https"
-    if encrypted:
+    if service is None:
+        return ForgeAccess(url, account, password)
+    if url.startswith("https:"):
         trust_text(authorities(kubeconfig))
-    host, port = reach(ServicePort(NAMESPACE, SERVICE, service.spec.cluster_ip, PORT))
-    return ForgeAccess(f"{'https' if encrypted else 'http'}://{host}:{port}", account, password)
+    host, port = reach(ServicePort(namespace, name, service.spec.cluster_ip, port_of(url)))
+    return ForgeAccess(f"{urlsplit(url).scheme}://{host}:{port}", account, password)
 
 
 def authorities(kubeconfig: Path) -> str:

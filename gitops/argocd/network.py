@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 import yaml
 
@@ -21,22 +22,23 @@ DEFAULTS = CHART / "values.yaml"
 WORD = "argocd"  # this namespace in the table
 PLATFORM = "robotkube"  # namespace and release of the platform
 OTHERS = {"platform": PLATFORM, "gate": f"{PLATFORM}-gate"}  # their namespaces by the table's words
-API_SERVER, NAME_SERVICE = "api-server", "name-service"
+API_SERVER, NAME_SERVICE, FORGE = "api-server", "name-service", "forge"
+PORTS = {"https": 443, "http": 80}
 
 
-def policies(namespace: str, stated: Mapping[str, Any]) -> list[Object]:
+def policies(namespace: str, stated: Mapping[str, Any], forge: str = "") -> list[Object]:
     """Everything denied, and one policy for each part of Argo CD. `stated`: the chart's values `networkPolicies` as far
-    as they differ from its own; none are made where these say so."""
+    as they differ from its own; none are made where these say so. `forge`: the URL of one of others."""
     table = yaml.safe_load(TABLE.read_text(encoding="utf-8"))
     values = yaml.safe_load(DEFAULTS.read_text(encoding="utf-8"))["networkPolicies"]
     if not {**values, **stated}["enabled"]:
         return []
-    values |= {word: {**values[word], **(stated.get(word) or {})} for word in ("apiServer", "dns")}
+    values |= {word: {**values[word], **(stated.get(word) or {})} for word in ("apiServer", "dns", "outside")}
     parties = {name: party for name, party in table["parties"].items() if party["namespaces"] == WORD}
     policies = [_policy("default-deny", namespace, {})]
     for name, party in parties.items():
         policy = _policy(name, namespace, {"matchLabels": party["labels"]})
-        for direction, rules in _rules(table, values, namespace, name).items():
+        for direction, rules in _rules(table, values, namespace, name, forge).items():
             if rules:
                 policy["spec"][direction] = rules
         policies.append(policy)
@@ -52,23 +54,29 @@ def _policy(name: str, namespace: str, pods: Object) -> Object:
     }
 
 
-def _rules(table: Object, values: Object, namespace: str, name: str) -> dict[str, list[Object]]:
+def _rules(table: Object, values: Object, namespace: str, name: str, forge: str) -> dict[str, list[Object]]:
     peers = {word: _peer(party, namespace) for word, party in table["parties"].items()}
     ingress = [
         {"from": [peers[word] for word in edge["from"]], "ports": _ports([edge["port"]])}
         for edge in table["edges"]
         if edge["to"] == name
     ]
-    egress = [rule for edge in table["edges"] if name in edge["from"] for rule in _egress(edge, values, peers)]
+    edges = [edge for edge in table["edges"] if name in edge["from"]]
+    egress = [rule for edge in edges for rule in _egress(edge, values, peers, forge)]
     return {"ingress": ingress, "egress": egress}
 
 
-def _egress(edge: Mapping[str, Any], values: Mapping[str, Any], peers: Mapping[str, Object]) -> Iterator[Object]:
+def _egress(
+    edge: Mapping[str, Any], values: Mapping[str, Any], peers: Mapping[str, Object], forge: str
+) -> Iterator[Object]:
     if edge["to"] == NAME_SERVICE:
         ports = values["dns"]["ports"]
         yield {**_whom(values["dns"]["to"]), "ports": [*_ports(ports, "UDP"), *_ports(ports)]}
     elif edge["to"] == API_SERVER:
         yield {**_whom(values["apiServer"]["to"]), "ports": _ports(values["apiServer"]["ports"])}
+    elif edge["to"] == FORGE and forge:
+        address = urlsplit(forge)
+        yield {**_whom(values["outside"]["to"]), "ports": _ports([address.port or PORTS[address.scheme]])}
     else:
         yield {"to": [peers[edge["to"]]], "ports": _ports([edge["port"]])}
 

@@ -144,20 +144,27 @@ def render(
     images: Mapping[str, str],
     network_policies: Mapping[str, Any] = NOTHING,
     nodes: Mapping[str, str] = PLATFORM_NODES,
+    forge: str = "",
 ) -> str:
     """The manifests to apply, as YAML.
 
     `manifests` is the text of Argo CD's install.yaml; `images` maps `argocd` and `redis` to references (further keys
     are ignored); `network_policies` are the values of this name that the platform's chart gets, `nodes` the labels of
-    the Nodes that it is to run on. Raises ValueError when a reference is missing or a workload is not one this module
-    knows.
+    the Nodes that it is to run on, `forge` the URL of one of others (`external_forge`). Raises ValueError when a
+    reference is missing or a workload is not one this module knows.
     """
     missing = [name for name in IMAGES.values() if not images.get(name)]
     if missing:
         raise ValueError(f"Argo CD: no image reference for {', '.join(missing)}; add them to the images file")
     documents = filter(None, yaml.load_all(manifests, Loader=_LOADER))
-    objects = [*_rendered(documents, images, nodes), *network.policies(NAMESPACE, network_policies)]
+    objects = [*_rendered(documents, images, nodes), *network.policies(NAMESPACE, network_policies, forge)]
     return yaml.dump_all(objects, Dumper=_DUMPER, sort_keys=True)
+
+
+def external_forge(values: Mapping[str, Any]) -> str:
+    """The URL of a forge of others in values of the platform's chart; empty where it brings one."""
+    forge = values.get("forge") or {}
+    return str((forge.get("external") or {}).get("url") or "") if forge.get("kind") == "external" else ""
 
 
 def _rendered(documents: Iterator[Object], images: Mapping[str, str], nodes: Mapping[str, str]) -> Iterator[Object]:
@@ -278,7 +285,8 @@ def main() -> int:
     values = yaml.safe_load(arguments.values.read_text(encoding="utf-8")) if arguments.values else {}
     stated = values.get("networkPolicies") or {}
     try:
-        sys.stdout.write(render(arguments.manifests.read_text(encoding="utf-8"), images, stated))
+        manifests = arguments.manifests.read_text(encoding="utf-8")
+        sys.stdout.write(render(manifests, images, stated, forge=external_forge(values)))
     except ValueError as error:
         print(error, file=sys.stderr)
         return 1

@@ -16,6 +16,7 @@ import yaml
 
 from ci.cluster.embedded.network.addresses import PLANS
 from gitops.argocd import network as argocd_network
+from gitops.argocd.render import external_forge
 from robotkube.foundation.kubernetes.core.network_policies import NetworkPeer, NetworkPolicy, may_connect, read_policy
 from tests.stages.paths import CHARTS, REPOSITORY
 
@@ -243,6 +244,23 @@ def test_argo_cd_where_nothing_is_stated_and_where_no_policies_are_wanted() -> N
     redis = pod("argocd", "redis", {"app.kubernetes.io/name": "argocd-redis"}, 0)
     assert {at for at in ASKED if may_connect(rules, redis, ELSEWHERE[2], *at).allowed} == {("TCP", 443), ("TCP", 6443)}
     assert argocd_network.policies("argocd", {"enabled": False}) == []
+
+
+@pytest.mark.parametrize(("url", "port"), [("https://git.example", 443), ("http://git.example:3000", 3000)])
+def test_argo_cd_reaches_a_forge_of_others_where_policies_say_it_is(url: str, port: int) -> None:
+    stated = {**STATED, "outside": {"to": [{"ipBlock": {"cidr": "203.0.113.0/24"}}]}}
+    forge = external_forge({"forge": {"kind": "external", "external": {"url": url}}})
+    rules = list(map(read_policy, argocd_network.policies("argocd", stated, forge)))
+    of_platform = {"app.kubernetes.io/component": "forge", "app.kubernetes.io/instance": "robotkube"}
+
+    def reached(name: str, whom: NetworkPeer) -> set[int]:
+        own = pod("argocd", name, {"app.kubernetes.io/name": f"argocd-{name}"}, 0)
+        return {port for protocol, port in ASKED if may_connect(rules, own, whom, protocol, port).allowed} - {53}
+
+    assert reached("repo-server", ELSEWHERE[3]) == {port}
+    assert reached("repo-server", pod("robotkube", "forge", of_platform, 1)) == set()
+    assert reached("server", ELSEWHERE[3]) == set()
+    assert external_forge({"forge": {"kind": "gitea", "external": {"url": ""}}}) == external_forge({}) == ""
 
 
 def test_what_a_vehicle_and_a_chart_under_test_reach(

@@ -14,6 +14,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import urllib3
+import yaml
 from kubernetes import client, config
 from kubernetes.client.exceptions import ApiException
 from kubernetes.stream import stream
@@ -23,7 +24,7 @@ from robotkube.foundation.certificates.adapters.account_files import REQUIRED, S
 from robotkube.foundation.certificates.adapters.certificate_authorities import trust_text
 from robotkube.foundation.database.adapters.connection import DatabaseLogin, login_at
 from robotkube.foundation.forge.adapters.relay import by_name
-from robotkube.foundation.kubernetes.core.service_names import service_of
+from robotkube.foundation.kubernetes.core.service_names import port_of, service_of
 from robotkube.robots.mqtt.adapters.broker_account import BrokerAccount, read_broker_account
 from scenarios.runner.waiting import RunError
 
@@ -96,7 +97,12 @@ class Access:
 
     def forge(self) -> Endpoint:
         """The platform's forge as this process reaches it; where it speaks TLS, its certificate is believed from then
-        on if the platform's authority signed it."""
+        on if the platform's authority signed it. One of others is where the gate's settings say."""
+        settings = yaml.safe_load(self.configmap(GATE, "gate")["config.yaml"])
+        url = urlsplit(str(settings["forge"]["url"]))
+        if service_of(url.netloc) != (PLATFORM, "forge"):
+            place = {"host": url.hostname or "", "port": str(port_of(url.geturl()))}
+            return Endpoint(*self._reached(place), url.scheme == HTTPS)
         endpoint = self.endpoint("forge")
         if not endpoint.encrypted:
             return endpoint

@@ -9,6 +9,7 @@ import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
 from robotkube.cli.gate_presence import GATE, GatePresence, presence
 from robotkube.cli.inspections import INSPECTOR
@@ -21,7 +22,7 @@ from robotkube.foundation.documents.core.json_codec import read_json_shortened
 from robotkube.foundation.documents.core.yaml_codec import read_mapping
 from robotkube.foundation.forge.adapters.relay import by_name
 from robotkube.foundation.kubernetes.adapters import client
-from robotkube.foundation.kubernetes.core.service_names import service_of
+from robotkube.foundation.kubernetes.core.service_names import port_of, service_of
 
 OBJECTS_MAX = 5000
 PAGE_OBJECTS = 500
@@ -227,16 +228,32 @@ class Platform:
                 "give --forge-url and --password-file"
             ) from error
         values = _texts(secret)
-        return (by_name(url) if url.startswith("https:") else url), values["username"], values["password"]
+        named = url.startswith("https:") and not self._forge_of_others()  # that has a certificate for localhost, too
+        return (by_name(url) if named else url), values["username"], values["password"]
 
     def forge_url(self) -> str:
         """The URL of the platform's forge at its Service's address, as browsers reach it. Where that speaks TLS, this
-        process believes its certificate from then on, if the platform's authority signed it."""
+        process believes its certificate from then on, if the platform's authority signed it. One of others is where the
+        manager's settings say, a Service of this cluster at its address."""
+        if url := self._forge_of_others():
+            service = service_of(urlsplit(url).netloc)
+            if service is None:
+                return url
+            return f"{urlsplit(url).scheme}://{self._service(service[1], service[0])['clusterIP']}:{port_of(url)}"
         spec = self._service(FORGE)
         encrypted = spec["ports"][0].get("name") == ENCRYPTED
         if encrypted:
             trust_text(self.authorities())
         return f"{'https' if encrypted else 'http'}://{spec['clusterIP']}:{spec['ports'][0]['port']}"
+
+    def _forge_of_others(self) -> str:
+        """The URL of a forge that is not the platform's own; empty where that has one, and where the manager's settings
+        may not be read."""
+        try:
+            url = str((self.settings(self._manager).get("forge") or {}).get("url") or "")
+        except InputError:
+            return ""
+        return url if url and service_of(urlsplit(url).netloc) != (self._namespace, FORGE) else ""
 
     def forge_secret(self, account: str) -> str:
         """How kubectl gets the Secret of one of the forge's accounts; empty when there is none, or when it may not be

@@ -68,6 +68,30 @@ def test_a_database_of_others_is_reached_in_the_same_way(tmp_path: Path, host: s
     assert login.tls == ServerVerification(tmp_path / "ca.crt", host)
 
 
+class ClusterOfForge(Cluster):
+    """The gate's settings, with one forge or another."""
+
+    def __init__(self, url: str) -> None:
+        super().__init__("off")
+        self.url = url
+
+    def configmap(self, namespace: str, name: str) -> dict[str, str]:
+        assert (namespace, name) == ("robotkube-gate", "gate")
+        return {"config.yaml": f"forge:\n  url: {self.url}\n"}
+
+
+@pytest.mark.parametrize(
+    ("url", "reached"),
+    [
+        ("http://mqtt.managed.svc.cluster.local:3000", Endpoint("10.96.0.10", 3000)),
+        ("https://git.example.com", Endpoint("git.example.com", 443, encrypted=True)),
+        ("https://git.example.com:8443", Endpoint("git.example.com", 8443, encrypted=True)),
+    ],
+)
+def test_a_forge_of_others_is_where_the_gates_settings_say(url: str, reached: Endpoint) -> None:
+    assert ClusterOfForge(url).forge() == reached
+
+
 class ClusterOfManager(Access):
     """The cluster's answers: pages, by the path at the API server."""
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from urllib.parse import urlsplit
+
 OF_THE_CLUSTER = ".svc"
+PORTS = {"https": 443, "http": 80}
 
 
 def service_of(host: str) -> tuple[str, str] | None:
@@ -11,3 +14,9 @@ def service_of(host: str) -> tuple[str, str] | None:
     name, _, rest = host.partition(":")[0].partition(".")
     namespace, _, domain = rest.partition(".")
     return (namespace, name) if f".{domain}.".startswith(f"{OF_THE_CLUSTER}.") else None
+
+
+def port_of(url: str) -> int:
+    """The port of a URL, that of its scheme where it names none."""
+    address = urlsplit(url)
+    return address.port or PORTS.get(address.scheme, 0)
