@@ -81,6 +81,22 @@ def test_everybody_connects_to_the_forge_of_others(helm: Any) -> None:
     assert (forge["kind"], forge["api"]) == ("gitlab", "https://gitlab.example.com/api/v4")
 
 
+def test_what_one_makes_there_is_what_the_chart_makes_on_its_own(official: Any) -> None:
+    blocks = [yaml.safe_load(text) for text in BLOCK.findall(PAGES[1].read_text(encoding="utf-8"))]
+    [page] = [one for one in blocks if "packages" in one]
+    made = yaml.safe_load(official.one("ConfigMap", "bootstrap")["data"]["config.yaml"])["forge"]
+    assert page["repositories"] == {one["name"]: one["access"] for one in made["repositories"]}
+    assert page["packages"] == {one["name"]: one["packages"] for one in made["organisations"]}
+    hooks = [(hook["repository"], hook["url"].split("/")[2].split(".")[0], hook["events"]) for hook in made["webhooks"]]
+    assert sorted(hooks) == sorted(
+        (name, to, events) for name, of in page["webhooks"].items() for to, events in of.items()
+    )
+    named = {
+        account for accounts in (*page["repositories"].values(), *page["packages"].values()) for account in accounts
+    }
+    assert named == {one["name"] for one in made["accounts"]}
+
+
 def opened(rendered: Any, name: str, port: int) -> list[str]:
     """The addresses outside of the cluster to which the policy of this name lets its pods, at a port."""
     [rules] = [one["spec"]["egress"] for one in rendered.of_kind("NetworkPolicy") if one["metadata"]["name"] == name]

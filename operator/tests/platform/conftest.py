@@ -59,6 +59,7 @@ ORDER = (
     "cluster/test_refusals_without_admission",
     "cluster/test_other_cluster",
     "cluster/test_managed_services",
+    "cluster/test_managed_forge",
     "cluster/test_cluster_of_others",
     "cluster/test_installed_from_registry",
     "kind/test_use_case_on_kind",

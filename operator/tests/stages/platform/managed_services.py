@@ -155,11 +155,11 @@ class ManagedServices:
     def _files_of_broker(self, accounts: Mapping[str, str], rights: str) -> dict[str, Any]:
         passwords = "".join(f"{name}:{password}\n" for name, password in accounts.items())
         files = {"mosquitto.conf": example("mosquitto.conf"), "acl": rights, "passwords": passwords}
-        return _secret("mqtt-files", NAMESPACE, files)
+        return secret_object("mqtt-files", NAMESPACE, files)
 
     def _certificate(self, authority: str, name: str, namespace: str, names: list[str]) -> dict[str, Any]:
         pair = issue(self.authorities[authority], names, time.time(), LIFE_SECONDS)
-        return _secret(name, namespace, {"tls.crt": pair.certificate, "tls.key": pair.key})
+        return secret_object(name, namespace, {"tls.crt": pair.certificate, "tls.key": pair.key})
 
     def _secret(self, namespace: str, name: str) -> dict[str, str]:
         """A Secret's values; none when it is not there."""
@@ -174,7 +174,7 @@ class ManagedServices:
         self.platform.kubectl(*wait, seconds=READY_SECONDS + 10)
 
 
-def _secret(name: str, namespace: str, values: Mapping[str, str]) -> dict[str, Any]:
+def secret_object(name: str, namespace: str, values: Mapping[str, str]) -> dict[str, Any]:
     metadata = {"name": name, "namespace": namespace}
     return {"apiVersion": "v1", "kind": "Secret", "metadata": metadata, "stringData": dict(values)}
 
@@ -186,7 +186,7 @@ def _broker(image: str) -> list[dict[str, Any]]:
         "/etc/mosquitto-tls": {"secret": {"secretName": "mqtt-certificate", "defaultMode": 0o440}},
         "/tmp": {"emptyDir": {}},  # noqa: S108 - of the pod
     }
-    return _served("mqtt", BROKERS_PORT, {"image": image, "command": ["sh", "-ec", PROGRAM]}, volumes)
+    return served("mqtt", BROKERS_PORT, {"image": image, "command": ["sh", "-ec", PROGRAM]}, volumes)
 
 
 def _database(image: str) -> list[dict[str, Any]]:
@@ -197,10 +197,10 @@ def _database(image: str) -> list[dict[str, Any]]:
         "/data/db": {"emptyDir": {}},
         "/tmp": {"emptyDir": {}},  # noqa: S108 - of the pod
     }
-    return _served("mongo", DATABASES_PORT, {"image": image, "args": [*FERRETDB], "env": environment}, volumes)
+    return served("mongo", DATABASES_PORT, {"image": image, "args": [*FERRETDB], "env": environment}, volumes)
 
 
-def _served(
+def served(
     name: str, port: int, container: Mapping[str, Any], volumes: Mapping[str, Mapping[str, Any]]
 ) -> list[dict[str, Any]]:
     """A Deployment of one pod, as restricted as all others, and its Service; `volumes` by the place of each."""
