@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from urllib.parse import urlsplit
-
 OF_THE_CLUSTER = ".svc"
 PORTS = {"https": 443, "http": 80}
 
@@ -18,5 +16,6 @@ def service_of(host: str) -> tuple[str, str] | None:
 
 def port_of(url: str) -> int:
     """The port of a URL, that of its scheme where it names none."""
-    address = urlsplit(url)
-    return address.port or PORTS.get(address.scheme, 0)
+    scheme, _, rest = url.partition("://")
+    port = rest.partition("/")[0].rpartition(":")[2]
+    return int(port) if port.isdecimal() else PORTS.get(scheme, 0)
