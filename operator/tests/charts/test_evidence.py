@@ -308,6 +308,21 @@ def test_suites_start_a_database_of_the_platforms_kind(helm: Any, embedded: Any)
     assert "--handler=sqlite" in settings["database"]["arguments"]
 
 
+def test_what_one_makes_at_broker_and_database_of_others_is_said(helm: Any, tmp_path: Path) -> None:
+    assert "NOTE: make at" not in notes(helm, {}, tmp_path)
+    broker = {"kind": "external", "external": {"host": "mqtt.example", "port": 8883}}
+    database = {"kind": "external", "external": {"host": "mongo.example"}}
+    said = notes(helm, {"broker": broker, "database": database, "tls": {"mode": "off"}}, tmp_path)
+    assert (
+        "NOTE: make at mqtt.example the accounts of the Secrets broker-account in the namespace of each agent" in said
+    )
+    assert "here broker-account-observer and broker-account-manager (" in said
+    assert "NOTE: make at mongo.example the account of the Secret database-account" in said
+    refused = "NOTE: suites have no database to start and refuse charts that name an account of one."
+    assert refused not in said
+    assert refused in notes(helm, {"database": database, "images": {"mongo": ""}}, tmp_path)
+
+
 @pytest.mark.parametrize(
     ("ferretdb", "mongo", "admission", "kind"),
     [
