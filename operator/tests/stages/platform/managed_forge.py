@@ -85,14 +85,9 @@ class ManagedForge:
     def start(self) -> None:
         """Run it, with no account but the owner's."""
         self.platform.installer.namespace(NAMESPACE, RESTRICTED)
-        text = APP_INI.format(
-            user="robotkube", data="/data", port=PORT, url=f"http://{HOST}", static="/opt/gitea",
-            secret=secrets.token_hex(32), token=secrets.token_hex(32), hooks="/etc/forge-hooks",
-            rights=RIGHTS.read_text(encoding="utf-8").strip(),
-        ).replace("HTTP_ADDR = 127.0.0.1", "HTTP_ADDR = 0.0.0.0")  # fmt: skip
         hooks = {path.name: path.read_text(encoding="utf-8") for path in HOOKS.iterdir()}
         objects = [
-            secret_object("git-settings", NAMESPACE, {"app.ini": text}),
+            secret_object("git-settings", NAMESPACE, {"app.ini": _settings()}),
             secret_object("git-hooks", NAMESPACE, hooks),
             *_forge(preparation.everything().references()["gitea"]),
         ]
@@ -166,6 +161,23 @@ class ManagedForge:
         """Have every node pull images of this forge, whose name it cannot resolve."""
         nodes = publish.find_forge(self.platform.installer.kubeconfig, publish.PULL_ACCOUNT)
         pulling.allow(self.platform.provider.folders.hosts, nodes.url, nodes.username, nodes.password, host=HOST)
+
+
+def _settings() -> str:
+    """Those of the tests' forges, for a pod; every key that Gitea would write there itself is given."""
+    text = APP_INI.format(
+        user="robotkube", data="/data", port=PORT, url=f"http://{HOST}", static="/opt/gitea",
+        secret=secrets.token_hex(32), token=secrets.token_hex(32), hooks="/etc/forge-hooks",
+        rights=RIGHTS.read_text(encoding="utf-8").strip(),
+    )  # fmt: skip
+    own = {
+        f"LOCAL_ROOT_URL = http://{HOST}/": f"LOCAL_ROOT_URL = http://127.0.0.1:{PORT}/",
+        "ADDR = 127.0.0.1": "ADDR = 0.0.0.0",
+    }
+    for ours, of_pod in own.items():
+        assert ours in text
+        text = text.replace(ours, of_pod)
+    return f"{text}[oauth2]\nENABLED = false\nJWT_SECRET = {secrets.token_urlsafe(32)}\n"
 
 
 def _address(process: str) -> str:
