@@ -316,7 +316,7 @@ def test_what_one_makes_at_broker_and_database_of_others_is_said(helm: Any, tmp_
     assert (
         "NOTE: make at mqtt.example the accounts of the Secrets broker-account in the namespace of each agent" in said
     )
-    assert "here broker-account-observer and broker-account-manager (" in said
+    assert "here broker-account-manager, and for who measures broker-account-observer (" in said
     assert "NOTE: make at mongo.example the account of the Secret database-account" in said
     refused = "NOTE: suites have no database to start and refuse charts that name an account of one."
     assert refused not in said

@@ -94,8 +94,24 @@ def paste(cluster: LentCluster, binaries: Path, folder: Path) -> str:
 def test_helm_has_installed_the_chart_of_the_registry(installed: Installed) -> None:
     """And the last command of the page has waited until everything is ready."""
     assert "STATUS: deployed" in installed.said
-    for name in ("manager", "gate", "forge", "database", "broker", "console"):
-        assert re.search(rf"^{name}: ready", installed.said, re.MULTILINE), installed.said[-WORDS_MAX:]
+    everything = rf"^robotkube: ready: all \d+ components in {NAMESPACE}, {GATE}, {ARGOCD}$"
+    assert re.search(everything, installed.said, re.MULTILINE), installed.said[-WORDS_MAX:]
+    release = f"app.kubernetes.io/managed-by=Helm,helm.sh/chart=robotkube-{VERSION}"
+    names = installed.cluster.ask(
+        "-n", NAMESPACE, "get", "deployments,statefulsets", "-l", release, "-o", "name"
+    ).split()
+    wanted = {
+        "manager",
+        "broker",
+        "database",
+        "forge",
+        "console",
+        "suite-runner",
+        "inspector",
+        "certificates",
+        "rights",
+    }
+    assert wanted <= {name.rpartition("/")[2] for name in names}
 
 
 def test_every_image_came_from_there(installed: Installed) -> None:

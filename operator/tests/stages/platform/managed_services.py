@@ -33,8 +33,8 @@ LIFE_SECONDS = 86_400.0
 READY_SECONDS, ADDRESS_SECONDS_MAX = 90, 120.0
 BROKERS_PORT, DATABASES_PORT = 8883, 27017
 PROGRAM = (
-    "cp /given/* /etc/mosquitto/ && mosquitto_passwd -U /etc/mosquitto/passwords "
-    "&& exec mosquitto -c /etc/mosquitto/mosquitto.conf"
+    "cp -f /given/* /etc/mosquitto/ && chmod 600 /etc/mosquitto/* "
+    "&& mosquitto_passwd -U /etc/mosquitto/passwords && exec mosquitto -c /etc/mosquitto/mosquitto.conf"
 )
 FERRETDB = (
     "--handler=sqlite",
