@@ -10,10 +10,12 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from urllib.parse import urlsplit
 
 from ci.cluster_contract.provider import Provider, Volumes
 from ci.errors import SetUpError
 from ci.folders import PROJECT
+from robotkube.foundation.kubernetes.core.service_names import port_of
 from scenarios import definition
 from scenarios.definition import Scenario, cloud_topic, pose_topic
 from scenarios.generator import bags, checking, coverage, routes
@@ -205,7 +207,10 @@ def _fetched(deployment: Deployment) -> Mapping[str, Any]:
 
 def _forge_of_a_person(access: Access, provider: Provider) -> tuple[Endpoint, str]:
     """The address at which a person finds the forge after the run, and the command that has to run meanwhile."""
-    service, encrypted = access.service("forge")
+    service, url = access.forge_service()
+    encrypted = url.startswith("https:")
+    if service is None:
+        return Endpoint(urlsplit(url).hostname or "", port_of(url), encrypted), ""
     way = provider.way_of_a_person(service)
     return Endpoint(way.host, way.port, encrypted), way.command
 

@@ -95,16 +95,25 @@ class Access:
         port = service.spec.ports[0]
         return ServicePort(namespace, name, service.spec.cluster_ip, port.port), port.name == HTTPS
 
+    def forge_service(self) -> tuple[ServicePort | None, str]:
+        """The forge's Service and URL, by the gate's settings; no Service where one of others is not in this cluster."""
+        url = str(yaml.safe_load(self.configmap(GATE, "gate")["config.yaml"])["forge"]["url"])
+        named = service_of(urlsplit(url).netloc)
+        if named is None:
+            return None, url
+        namespace, name = named
+        service, _ = self.service(name, namespace)
+        return replace(service, port=port_of(url)), url
+
     def forge(self) -> Endpoint:
         """The platform's forge as this process reaches it; where it speaks TLS, its certificate is believed from then
-        on if the platform's authority signed it. One of others is where the gate's settings say."""
-        settings = yaml.safe_load(self.configmap(GATE, "gate")["config.yaml"])
-        url = urlsplit(str(settings["forge"]["url"]))
-        if service_of(url.netloc) != (PLATFORM, "forge"):
-            place = {"host": url.hostname or "", "port": str(port_of(url.geturl()))}
-            return Endpoint(*self._reached(place), url.scheme == HTTPS)
-        endpoint = self.endpoint("forge")
-        if not endpoint.encrypted:
+        on if the platform's authority signed it."""
+        service, url = self.forge_service()
+        encrypted = url.startswith(f"{HTTPS}:")
+        if service is None:
+            return Endpoint(urlsplit(url).hostname or "", port_of(url), encrypted)
+        endpoint = Endpoint(*self._reach(service), encrypted)
+        if not encrypted or (service.namespace, service.name) != (PLATFORM, "forge"):
             return endpoint
         trust_text(self.configmap(PLATFORM, AUTHORITIES_MAP)["ca.crt"])
         reached = urlsplit(by_name(endpoint.url))
