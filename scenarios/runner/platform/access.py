@@ -96,7 +96,7 @@ class Access:
         return ServicePort(namespace, name, service.spec.cluster_ip, port.port), port.name == HTTPS
 
     def forge_service(self) -> tuple[ServicePort | None, str]:
-        """The forge's Service and URL, by the gate's settings; no Service where one of others is not in this cluster."""
+        """The forge's Service and URL, by the gate's settings; none where one of others stands elsewhere."""
         url = str(yaml.safe_load(self.configmap(GATE, "gate")["config.yaml"])["forge"]["url"])
         named = service_of(urlsplit(url).netloc)
         if named is None:
