@@ -88,7 +88,8 @@ class Installer:
         pulled = {name: moved(reference, self.profile.registry) for name, reference in references.items()}
         stated = stated_values(self.profile)
         nodes = stated.get("platform", {}).get("nodeSelector") or render.PLATFORM_NODES
-        policies, forge = stated.get("networkPolicies") or {}, render.external_forge(stated)
+        policies = stated.get("networkPolicies") or {}
+        forge = render.external_forge(stated)
         manifests = render.render(source.read_text(encoding="utf-8"), pulled, policies, nodes, forge)
         self.namespace(ARGOCD, RESTRICTED)
         self.repo_server_clients()

@@ -140,7 +140,8 @@ class Access:
     def _reached(self, account: Mapping[str, str]) -> tuple[str, int]:
         """Host and port at which this process reaches what an account is of: a Service of any namespace as all Services
         are, what stands outside of the cluster by its name."""
-        host, port = account["host"], int(account["port"])
+        host = account["host"]
+        port = int(account["port"])
         named = service_of(host)
         if named is None:
             return host, port

@@ -202,7 +202,8 @@ class Platform:
     def address_of(self, account: Mapping[str, str]) -> tuple[str, int]:
         """Where what an account is of is reached from here, by the Secret's `host` and `port`: a Service of this
         cluster at its ClusterIP, since pods alone resolve its name, and what stands elsewhere at its name."""
-        host, port = account["host"], int(account["port"])
+        host = account["host"]
+        port = int(account["port"])
         service = service_of(host)
         return (str(self._service(service[1], service[0])["clusterIP"]) if service else host), port
 

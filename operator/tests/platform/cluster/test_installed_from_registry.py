@@ -56,7 +56,8 @@ class Installed:
 @pytest.fixture(scope="module")
 def installed(no_demo: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Installed]:
     """With the fleet of a small scenario, whose Nodes got their labels by hand."""
-    prepared, folder = preparation.everything(), tmp_path_factory.mktemp("installed")
+    prepared = preparation.everything()
+    folder = tmp_path_factory.mktemp("installed")
     nodes = topology.read(SCENARIO / "scenario.yaml", {"vehicles": "1"})
     with made(NAME, prepared.binaries, each_alone(nodes), prepared.images, tmp_path_factory.mktemp("others")) as lent:
         label(lent, nodes)
