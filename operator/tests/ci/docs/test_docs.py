@@ -28,7 +28,7 @@ PAGES = sorted(
     for path in REPOSITORY.glob(pattern)
 )
 CODE = re.compile(r"```.*?```|`[^`\n]+`", re.DOTALL)
-MAKE = re.compile(r"\bmake ([a-z][a-z-]*)")
+MAKE = re.compile(r"\bmake ([a-z][a-z0-9-]*)")
 COMMAND = re.compile(r"(?:(?<!-n )\brobotkube|robotkube\.cli) ([a-z]+) ([a-z]+)\b")
 MODULE = re.compile(r"-m ((?:ci|scenarios|robotkube)(?:\.\w+)+)(?![.\w])")
 
@@ -74,7 +74,7 @@ def test_the_pages_are_found() -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_make_targets_exist(page: Path) -> None:
-    targets = set(re.findall(r"^([a-z-]+):", (REPOSITORY / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    targets = set(re.findall(r"^([a-z0-9-]+):", (REPOSITORY / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
     assert {target for text in code(page) for target in MAKE.findall(text)} <= targets
 
 
