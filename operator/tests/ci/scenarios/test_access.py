@@ -100,10 +100,13 @@ def test_what_the_api_server_refuses_is_said(access: Access) -> None:
 
 def test_nodes_are_cordoned_and_parts_of_the_platform_killed(access: Access) -> None:
     access.core.create_node({"metadata": {"name": "edge-9"}})
-    access.set_schedulable("edge-9", False)
-    assert access.core.read_node("edge-9").spec.unschedulable is True
-    access.set_schedulable("edge-9", True)
-    assert not access.core.read_node("edge-9").spec.unschedulable
+    try:
+        access.set_schedulable("edge-9", False)
+        assert access.core.read_node("edge-9").spec.unschedulable is True
+        access.set_schedulable("edge-9", True)
+        assert not access.core.read_node("edge-9").spec.unschedulable
+    finally:  # the server is others' as well
+        access.core.delete_node("edge-9")
     pod = {"metadata": {"name": "manager-x", "labels": {"app.kubernetes.io/name": "manager"}}}
     access.core.create_namespaced_pod(PLATFORM, pod | {"spec": {"containers": [{"name": "m", "image": "m"}]}})
     access.kill("gate")

@@ -237,4 +237,4 @@ def test_a_part_is_exported_as_one_mcap_file(
         for line in way.ledgers()[topic]
         if first <= line.stamp <= last
     )
-    assert [path.name for path in target.iterdir()] == [f"{RECORDING}.mcap"]
+    assert {path.name for path in target.iterdir()} == {f"{RECORDING}.mcap", f"{RECORDING}.layout.json"}

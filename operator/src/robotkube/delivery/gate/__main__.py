@@ -355,7 +355,7 @@ def build_server(
         MetricsPage(lambda: gate_metrics(gate.statistics), lambda: publication_metrics(publication.statistics)).text,
         configuration.webhook_secret.encode(),
         deliver,
-        pages={"/decisions": gate.decisions.as_json, "/unchecked": gate.unchecked},
+        pages={"/decisions": lambda: gate.decisions.as_json(), "/unchecked": lambda: gate.unchecked()},
         signed=objects_posts(gate, configuration.gate.deployment, configuration.proposer_secrets),
         health_port=configuration.listen.health_port,
         certificate=configuration.listen.certificate,
