@@ -63,11 +63,11 @@ class Server:
             def parse_request(self) -> bool:
                 parsed = super().parse_request()
                 if parsed and tls is not None and not self.encrypted:
+                    self.rfile.read(int(self.headers.get("Content-Length") or 0))
                     self.send_response(307)
                     self.send_header("Location", f"https://{self.headers['Host']}{self.path}")
                     self.send_header("Content-Length", "0")
                     self.end_headers()
-                    self.close_connection = True
                     return False
                 return parsed
 
