@@ -200,8 +200,8 @@ class Platform:
         return str(spec["clusterIP"]), int(spec["ports"][0]["port"])
 
     def address_of(self, account: Mapping[str, str]) -> tuple[str, int]:
-        """Where what an account is of is reached from here, by the Secret's `host` and `port`: a Service of this
-        cluster at its ClusterIP, since pods alone resolve its name, and what stands elsewhere at its name."""
+        """The host and port at which the server of an account is reached from here, by `host` and `port` of its Secret:
+        a Service of this cluster at its ClusterIP, since pods alone resolve its name; one elsewhere at its name."""
         host = account["host"]
         port = int(account["port"])
         service = service_of(host)

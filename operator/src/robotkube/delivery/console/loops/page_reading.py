@@ -4,6 +4,7 @@ changed that they know more of, and now and then without."""
 from __future__ import annotations
 
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 
 from robotkube.delivery.console.core import table as kinds
@@ -30,105 +31,97 @@ DETECTOR_ADVICE = "Values of events, rules and recordings are as of then. Look a
 UNREADABLE = (KeyError, TypeError, ValueError, AttributeError, ArithmeticError)
 
 
-class ManagerReader:
-    """Reads one manager's plans, and its catalogue more rarely. `monotonic` in seconds."""
+class PageReader(ABC):
+    """Reads pages into the model by `step`: when it is woken, and every `seconds` without."""
 
-    def __init__(self, model: ReadModel, pages: Pages, manager: ManagerPages, monotonic: Callable[[], float]) -> None:
+    seconds = RESYNC_SECONDS
+
+    def __init__(self, model: ReadModel, pages: Pages) -> None:
         self._model = model
         self._pages = pages
-        self._manager = manager
-        self._monotonic = monotonic
-        self._catalogue_at = float("-inf")
         self._woken = threading.Event()
 
-    def wake(self) -> None:
-        """Something changed."""
-        self._woken.set()
-
+    @abstractmethod
     def step(self) -> bool:
-        """Read; False when nobody answered."""
-        name, url = self._manager.name, self._manager.url
-        try:
-            self._model.put_plans(self._pages.get(f"{url}/plans"), name)
-            if self._monotonic() - self._catalogue_at >= CATALOGUE_SECONDS:
-                self._model.put_catalogue(name, self._pages.get(f"{url}/catalogue"))
-                self._catalogue_at = self._monotonic()
-            else:
-                self._model.put_catalogue(name)
-            problem = ""
-        except RobotKubeError as error:
-            problem = str(error)
-        except UNREADABLE as error:
-            problem = f"{url}: a page that cannot be read: {error!r}"
-        carries = (kinds.PLANS, kinds.CATALOGUE)
-        self._model.put_source(f"manager/{name}", problem, MANAGER_ADVICE, carries)
-        return not problem
+        """Read; False when somebody did not answer, or said that something is wrong."""
+
+    def wake(self) -> None:
+        """Something changed, or it is to end."""
+        self._woken.set()
 
     def run(self, stopping: threading.Event) -> None:
         """Read until `stopping` is set, and `wake` called."""
-        step_when_woken(_rested(self.step, stopping), self._woken, stopping, RESYNC_SECONDS, RETRY_SECONDS_BOUNDS)
+        step_when_woken(_rested(self.step, stopping), self._woken, stopping, self.seconds, RETRY_SECONDS_BOUNDS)
+
+    def _attempt(self, read: Callable[[], str], url: str) -> str:
+        """What `read` of the pages below `url` says that is wrong, or why it failed; empty when all is well."""
+        try:
+            return read()
+        except RobotKubeError as error:
+            return str(error)
+        except UNREADABLE as error:
+            return f"{url}: a page that cannot be read: {error!r}"
 
 
-class GateReader:
+class ManagerReader(PageReader):
+    """Reads one manager's plans, and its catalogue more rarely. `monotonic` in seconds."""
+
+    def __init__(self, model: ReadModel, pages: Pages, manager: ManagerPages, monotonic: Callable[[], float]) -> None:
+        super().__init__(model, pages)
+        self._manager = manager
+        self._monotonic = monotonic
+        self._catalogue_at = float("-inf")
+
+    def step(self) -> bool:
+        problem = self._attempt(self._read, self._manager.url)
+        carries = (kinds.PLANS, kinds.CATALOGUE)
+        self._model.put_source(f"manager/{self._manager.name}", problem, MANAGER_ADVICE, carries)
+        return not problem
+
+    def _read(self) -> str:
+        name, url = self._manager.name, self._manager.url
+        self._model.put_plans(self._pages.get(f"{url}/plans"), name)
+        if self._monotonic() - self._catalogue_at >= CATALOGUE_SECONDS:
+            self._model.put_catalogue(name, self._pages.get(f"{url}/catalogue"))
+            self._catalogue_at = self._monotonic()
+        else:
+            self._model.put_catalogue(name)
+        return ""
+
+
+class GateReader(PageReader):
     """Reads what the gate checked and decided, and what came to main without it. `url` is the address in front of its
     pages."""
 
     def __init__(self, model: ReadModel, pages: Pages, url: str) -> None:
-        self._model = model
-        self._pages = pages
+        super().__init__(model, pages)
         self._url = url
-        self._woken = threading.Event()
-
-    def wake(self) -> None:
-        """Something changed."""
-        self._woken.set()
 
     def step(self) -> bool:
-        """Read; False when nobody answered."""
-        try:
-            self._model.put_decisions(self._pages.get(f"{self._url}/decisions"))
-            problem = self._read_unchecked()
-        except RobotKubeError as error:
-            problem = str(error)
-        except UNREADABLE as error:
-            problem = f"{self._url}: a page that cannot be read: {error!r}"
+        problem = self._attempt(self._read, self._url)
         self._model.put_source(GATE_PAGES, problem, GATE_ADVICE, (kinds.PLANS, kinds.UNCHECKED))
         return not problem
 
-    def _read_unchecked(self) -> str:
-        """Read what it did not check; why that failed, else empty."""
+    def _read(self) -> str:
+        self._model.put_decisions(self._pages.get(f"{self._url}/decisions"))
         page = self._pages.get(f"{self._url}/unchecked")
         if not page["tip"]:
             return NOT_READ
         self._model.replace(kinds.UNCHECKED, unchecked_documents(page))
         return ""
 
-    def run(self, stopping: threading.Event) -> None:
-        """Read until `stopping` is set, and `wake` called."""
-        step_when_woken(_rested(self.step, stopping), self._woken, stopping, RESYNC_SECONDS, RETRY_SECONDS_BOUNDS)
 
-
-class CertificateReader:
+class CertificateReader(PageReader):
     """Reads until when the certificates of accounts hold. `url` is the address in front of the page."""
 
-    def __init__(self, model: ReadModel, pages: Pages, url: str) -> None:
-        self._model = model
-        self._pages = pages
-        self._url = url
-        self._woken = threading.Event()
+    seconds = CERTIFICATES_SECONDS
 
-    def wake(self) -> None:
-        """Something changed, or it is to end."""
-        self._woken.set()
+    def __init__(self, model: ReadModel, pages: Pages, url: str) -> None:
+        super().__init__(model, pages)
+        self._url = url
 
     def step(self) -> bool:
-        """Read; False when nobody answered, or something keeps certificates from being as they should be."""
-        try:
-            problem = self._read()
-        except RobotKubeError as error:
-            problem = str(error)
-        except UNREADABLE as error:
-            problem = f"{self._url}: a page that cannot be read: {error!r}"
+        problem = self._attempt(self._read, self._url)
         self._model.put_source(CERTIFICATES, problem, CERTIFICATES_ADVICE, (kinds.CERTIFICATES,))
         return not problem
 
@@ -139,12 +132,8 @@ class CertificateReader:
         self._model.replace(kinds.CERTIFICATES, certificate_documents(page))
         return str(page["problem"])
 
-    def run(self, stopping: threading.Event) -> None:
-        """Read until `stopping` is set, and `wake` called."""
-        step_when_woken(self.step, self._woken, stopping, CERTIFICATES_SECONDS, RETRY_SECONDS_BOUNDS)
 
-
-class DetectorReader:
+class DetectorReader(PageReader):
     """Reads what event detectors say of events, and the rules in their settings more rarely. `detectors` are those that
     run now."""
 
@@ -156,17 +145,11 @@ class DetectorReader:
         detectors: Callable[[], Sequence[Detector]],
         monotonic: Callable[[], float],
     ) -> None:
-        self._model = model
-        self._pages = pages
+        super().__init__(model, pages)
         self._settings = settings
         self._detectors = detectors
         self._monotonic = monotonic
         self._settings_at: dict[str, float] = {}
-        self._woken = threading.Event()
-
-    def wake(self) -> None:
-        """Something changed."""
-        self._woken.set()
 
     def step(self) -> bool:
         """Read all of them; False when one did not answer."""
@@ -203,10 +186,6 @@ class DetectorReader:
         except InputError:  # a detector of a version that has no such page
             return
         self._model.put_recordings(recording_documents(page, detector.pod.partition("/")[0], detector.pod))
-
-    def run(self, stopping: threading.Event) -> None:
-        """Read until `stopping` is set, and `wake` called."""
-        step_when_woken(_rested(self.step, stopping), self._woken, stopping, RESYNC_SECONDS, RETRY_SECONDS_BOUNDS)
 
 
 def _rules_of(document: Mapping[str, object]) -> Mapping[str, object]:
