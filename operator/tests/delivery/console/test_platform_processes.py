@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
+
 from robotkube.delivery.console.adapters.cluster_watches import read_process_pod
 from robotkube.delivery.console.core.platform_processes import (
     ADVICE,
@@ -19,7 +21,7 @@ from tests.delivery.console import documents as given
 
 
 def processes() -> PlatformProcesses:
-    return PlatformProcesses("robotkube", "argocd", {"cloud-0"})
+    return PlatformProcesses("robotkube", "argocd", "robotkube-gate")
 
 
 def ready(process: str, namespace: str) -> ProcessPod:
@@ -50,9 +52,15 @@ def test_a_pod_that_is_not_ready_says_why_and_one_that_is_ready_is_enough() -> N
     assert told(processes(), broken, ready(FORGE, "robotkube"))[FORGE] == ""
 
 
-def test_a_pod_of_an_agent_is_no_gate_and_one_elsewhere_no_forge() -> None:
-    pretended = (ready(GATE, "cloud-0"), ready(FORGE, "cloud-0"), ready(CONTROLLER, "robotkube"))
+@pytest.mark.parametrize("namespace", ["cloud-0", "robotkube-suite-0", "robotkube"])
+def test_a_pod_elsewhere_is_none_of_them_whatever_its_label_says(namespace: str) -> None:
+    """Such as that of a chart which is tried in a test namespace, and chooses its labels."""
+    pretended = (ready(GATE, namespace), ready(FORGE, "cloud-0"), ready(CONTROLLER, namespace))
     assert told(processes(), *pretended) == {GATE: "There is no pod of it."}
+
+
+def test_no_gate_is_missed_where_nobody_knows_its_namespace() -> None:
+    assert told(PlatformProcesses("robotkube", "argocd", "")) == {}
 
 
 def test_a_pod_is_read_by_its_label() -> None:

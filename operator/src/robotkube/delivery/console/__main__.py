@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
+from urllib.parse import urlsplit
 
 from kubernetes import client
 
@@ -31,6 +32,7 @@ from robotkube.delivery.console.loops.page_reading import CertificateReader, Det
 from robotkube.delivery.console.settings import ConsoleConfiguration, read_configuration
 from robotkube.foundation.certificates.adapters.certificate_authorities import trust
 from robotkube.foundation.kubernetes.adapters.client import api_client
+from robotkube.foundation.kubernetes.core.service_names import service_of
 from robotkube.foundation.pages.adapters.http_pages import AGENT_PAGE_BYTES_MAX, HttpPages
 from robotkube.foundation.runtime import settings_file as files
 from robotkube.foundation.runtime.adapters.health_server import HealthServer
@@ -53,7 +55,8 @@ class ConsoleProcess:
         self._gate = GateReader(self.model, self._pages, configuration.gate) if configuration.gate else None
         url = configuration.certificates
         self._certificates = CertificateReader(self.model, self._pages, url) if url else None
-        namespaces = (configuration.namespace, configuration.argocd_namespace)
+        gate = service_of(urlsplit(configuration.gate).netloc) or ("", "")
+        namespaces = (configuration.namespace, configuration.argocd_namespace, gate[0])
         self.watches = ClusterWatches(api, self.model, namespaces, configuration.agents, self._wake)
         settings = ConfigMapSettings(api)
         self._detectors = DetectorReader(

@@ -45,12 +45,13 @@ class ClusterWatches:
         self,
         api: client.ApiClient,
         model: ModelWriting,
-        namespaces: tuple[str, str],
+        namespaces: tuple[str, str, str],
         agents: Sequence[Object],
         woken: Callable[[], None],
     ) -> None:
-        """Watches that have not begun. `namespaces`: the platform's and Argo CD's."""
-        platform, argocd = namespaces
+        """Watches that have not begun. `namespaces`: the platform's, Argo CD's and the gate's, the last one empty where
+        nobody knows it."""
+        platform, argocd, gate = namespaces
         self._model = model
         self._agents = {str(agent["name"]): agent for agent in agents}
         self._woken = woken
@@ -59,7 +60,7 @@ class ClusterWatches:
         inspections = f"/apis/{GROUP}/{VERSION}/namespaces/{platform}/{INSPECTIONS}"
         self._nodes = ResourceWatch(api, "/api/v1/nodes", AGENT, read_nodes, self._node_changed)
         self._pods = ResourceWatch(api, "/api/v1/pods", AGENT, read_shown_pod, self._pod_changed)
-        self._present = PlatformProcesses(platform, argocd, {str(agent["namespace"]) for agent in agents})
+        self._present = PlatformProcesses(platform, argocd, gate)
         labelled = f"{NAME_LABEL} in ({','.join(NAMES)})"
         self._processes = ResourceWatch(api, "/api/v1/pods", labelled, read_process_pod, lambda *_: None)
         self._watches: Mapping[str, tuple[ResourceWatch, Sequence[str]]] = {

@@ -1,9 +1,9 @@
-"""Whether processes are there that the console reads nothing of, but without which what it shows stands still: gate,
-forge, and Argo CD's controller, as their pods say."""
+"""Presence of the processes without which what the console shows stands still: gate, forge, and Argo CD's controller,
+as their pods say."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from robotkube.delivery.console.core import table as kinds
@@ -42,23 +42,20 @@ class Presence:
 
 
 class PlatformProcesses:
-    """Says it, for one thread. A gate there always is; of the others only those are told that were seen once, since the
-    forge may be somebody else's, and Argo CD, too."""
+    """The presences, for one thread. A gate there is where its namespace is known; of the others only those that were
+    seen once are told, since forge and Argo CD may be somebody else's."""
 
-    def __init__(self, platform: str, argocd: str, agents: Collection[str]) -> None:
-        """The namespaces of the platform, of Argo CD, and of agents: nobody is the gate there."""
-        self._places: Mapping[str, Callable[[str], bool]] = {
-            GATE: lambda namespace: namespace not in agents,
-            FORGE: lambda namespace: namespace == platform,
-            CONTROLLER: lambda namespace: namespace == argocd,
-        }
-        self._seen = {GATE}
+    def __init__(self, platform: str, argocd: str, gate: str) -> None:
+        """The namespaces of the platform, of Argo CD, and of the gate, empty where it is not known. A pod elsewhere is
+        none of them, whatever its labels say."""
+        self._places: Mapping[str, str] = {GATE: gate, FORGE: platform, CONTROLLER: argocd}
+        self._seen = {GATE} if gate else set()
 
     def presences(self, pods: Iterable[ProcessPod]) -> Iterator[Presence]:
         """Whether each is there, of these pods."""
         listed = list(pods)
-        for process, belongs in self._places.items():
-            own = [pod for pod in listed if pod.process == process and belongs(pod.namespace)]
+        for process, namespace in self._places.items():
+            own = [pod for pod in listed if (pod.process, pod.namespace) == (process, namespace)]
             self._seen |= {process} if own else set()
             if process in self._seen:
                 yield Presence(process, _problem(own))
